@@ -105,15 +105,16 @@ class JournalError(CtrError):
     """A journal that cannot be written, or cannot be read back."""
 
 
+def find_near_names(given: object, allowed: Iterable[str]) -> list[str]:
+    """The names in `allowed` that are nearly what was given, the nearest first; none where nothing is."""
+    bare = {word.lstrip("-"): word for word in allowed}  # dashes would make all options alike
+    near = difflib.get_close_matches(str(given).lstrip("-"), bare, MAX_SUGGESTIONS, MIN_SUGGESTION_SIMILARITY)
+    return [bare[word] for word in near]
+
+
 def suggest_names(given: object, allowed: Iterable[str]) -> str:
     """A sentence for the end of a message: what of that allowed is nearly what was given; "" where nothing is."""
-    bare = {word.lstrip("-"): word for word in allowed}  # dashes would make all options alike
-    near = [
-        bare[word]
-        for word in difflib.get_close_matches(
-            str(given).lstrip("-"), bare, MAX_SUGGESTIONS, MIN_SUGGESTION_SIMILARITY
-        )
-    ]
+    near = find_near_names(given, allowed)
     return f". Did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 

@@ -46,6 +46,7 @@ ENVIRONMENT = "python3 -m venv"
 THIN = {
     ("plan * --robust*",): "--robot two.toml --frames 12 --samples 20",
     ("plan *--model dominant*",): "--frames 40 --samples 20",
+    ("plan bronchus --start*",): "--frames 24 --samples 20",
     ("plan bronchus --robot*",): "--robot two.toml --frames 12 --samples 20",
     ("plan bronchus*",): "--frames 12 --samples 20",
     ("plan *synthetic_airway*",): "--robot two.toml --frames 40 --stability-margin 0.2 --samples 20",
@@ -161,7 +162,7 @@ def walk(page: Path, clone: Path) -> None:
             printed = run(clone, ["bash", "-euo", "pipefail", "-c", commands(block)], place)
         elif block.language == "python":
             examples += block.text
-            run(clone, [".venv/bin/python", "-W", "error", "-c", examples], place)
+            printed = run(clone, [".venv/bin/python", "-W", "error", "-c", examples], place)
         elif block.language == "text":
             shown, told = (" ".join(text.replace("─", " ").split()) for text in (block.text, printed))
             assert shown in told, f"{place}: not what is printed:\n{printed}"

@@ -12,6 +12,7 @@ from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.codegen.cache import COMPILE_VARIABLE
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.robot import Robot
 from ctr_nlp.support.value_checks import floats
 from ctr_nlp.typing import Array
 
@@ -195,8 +196,8 @@ def count(text: str) -> int:
     return found
 
 
-def read_start(path: str) -> Array:
-    """Read a configuration (2d + 2,), rad and mm, from a JSON file; raises OptionError.
+def read_start(path: str, robot: Robot) -> Array:
+    """Read a configuration (2d + 2,), rad and mm, of a robot from a JSON file; raises OptionError.
 
     path: of a file with a list of numbers, or with {"alpha": [...], "beta": [...], "theta": [...]}.
     """
@@ -205,6 +206,13 @@ def read_start(path: str) -> Array:
         data: Any = json.loads(Path(path).read_text(encoding="utf-8"))
         if isinstance(data, dict):
             data = [*data["alpha"], *data["beta"], *data["theta"]]
-        return floats(OptionError, "the configuration", data, (None,))
+        found = floats(OptionError, "the configuration", data, (None,))
     except (OSError, ValueError, KeyError, TypeError, RecursionError, OptionError) as error:
-        raise OptionError(f"start {path} cannot be read ({error}); it must be {expected}") from error
+        raise OptionError(f"configuration {path} cannot be read ({error}); it must be {expected}") from error
+    wanted = len(robot.axes)
+    if len(found) != wanted:
+        raise OptionError(
+            f"configuration {path} has {len(found)} numbers; a robot of {robot.d} tubes has {wanted}: "
+            f"{', '.join(robot.axes)}"
+        )
+    return found

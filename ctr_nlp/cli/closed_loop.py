@@ -95,7 +95,7 @@ def warn(plan: Plan) -> None:
     doubtful = [each for each in (plan.verdicts.stable, plan.verdicts.holds) if each.word != YES]
     if not doubtful:
         return
-    told = "; ".join(each.with_reason for each in doubtful)
+    told = "; ".join(map(str, doubtful))
     print_stderr(
         f"warning: the robot may snap on this plan. {told}. A closed loop cannot prevent that: it stops, with "
         "exit status 1, where the estimated robot comes close to a snap"

@@ -131,11 +131,12 @@ def write_compromises(plan: Plan, found: Sequence[Compromise], folder: Path) -> 
 def _row(plan: Plan, one: Compromise) -> dict[str, Any]:
     """Return a motion of the trade-off of a plan as a row of trade_off.csv."""
     # Most plans need no compromise.
-    from ctr_nlp.planning.compromise import planned_for
+    from ctr_nlp.planning.compromise import find_arrival_weight, planned_for
 
     touched = one.where
     return {
-        "arrival_weight": "plan" if one.arrival_weight is None else one.arrival_weight,
+        "motion": "this plan" if one.arrival_weight is None else "another",
+        "arrival_weight": find_arrival_weight(plan, one),
         "planned_for": planned_for(plan, one),
         "tip_mm": one.tip,
         "contact_mm": one.contact,
@@ -149,19 +150,20 @@ def _row(plan: Plan, one: Compromise) -> dict[str, Any]:
 def print_compromises(plan: Plan, found: Sequence[Compromise]) -> None:
     """Print the compromises `found` between arriving and keeping off the wall, and what limits `plan`."""
     # Most plans need no compromise.
-    from ctr_nlp.planning.compromise import compromise_sentences, planned_for
+    from ctr_nlp.planning.compromise import compromise_sentences, find_arrival_weight, planned_for
 
-    columns = "motion", "tip off mm", "deepest contact mm", "e3 mm", "at", "planned for"
+    columns = "--arrival-weight", "tip off mm", "deepest contact mm", "e3 mm", "at", "planned for"
     rows = [
         (
-            "this plan" if one.arrival_weight is None else f"--arrival-weight {one.arrival_weight:g}",
+            f"{find_arrival_weight(plan, one):g}{', this plan' if one.arrival_weight is None else ''}",
             *(one.tip, one.contact, one.e3),
             "" if one.where is None else f"tube {one.where.tube}, {one.where.arc_length:.0f} mm",
             planned_for(plan, one),
         )
         for one in found
     ]
-    print_table("arrival against contact, of the robot as described", columns, rows, text=("at", "planned for"))
+    title = "arrival against contact: what the robot as described does on each motion"
+    print_table(title, columns, rows, text=("at", "planned for"))
     for sentence in compromise_sentences(plan, found):
         console().print(sentence)
 

@@ -53,7 +53,7 @@ def print_trajectory(title: str, trajectory: Trajectory, found: TrajectoryCheck)
     rows: list[tuple[str, Any, str]] = [
         ("frames", len(trajectory.frames), ""),
         ("duration", f"{trajectory.duration:.2f}", "s"),
-        ("of this, later than planned", f"{found.late:.2f}", "s"),
+        ("longer than planned by", f"{found.late:.2f}", "s"),
         ("largest part of a speed limit", f"{found.speed:.2f}", ""),
         ("largest part of an acceleration limit", f"{found.acceleration:.2f}", ""),
     ]
@@ -116,9 +116,15 @@ def report(
         for unit in dict.fromkeys(axis.unit for axis in hardware.axes):
             some = [k for k, axis in enumerate(hardware.axes) if axis.unit == unit]
             largest = float(abs(seen.error[:, some]).max())
-            rows.append((f"largest error of axes in {unit} when a frame was due", largest, unit))
-        rows.append(("last of these frames was due after", f"{seen.time[-1]:.2f}", "s"))
-        rows.append(("and passed after, without pauses", f"{seen.time[-1] + seen.late[-1]:.2f}", "s"))
+            rows.append((f"largest error of an axis in {unit}, at the times of frames", largest, unit))
+        rows.append(("time of the last frame passed, as commanded", f"{seen.time[-1]:.2f}", "s"))
+        rows.append(
+            (
+                "time of the last frame passed, as measured without pauses",
+                f"{seen.time[-1] + seen.late[-1]:.2f}",
+                "s",
+            )
+        )
     print_table(f"{name} on the {device} device", ("", "value", "unit"), rows)
     if loop is not None:
         closed_loop.print_estimates(loop)

@@ -78,9 +78,10 @@ def check_fit(robot: Robot, axes: tuple[Axis, ...], mounted: Robot | None) -> No
     """
     wanted = set(robot.axes[: 2 * robot.d])
     moved = {axis.joint for axis in axes}
-    for name in sorted(wanted ^ moved):
-        what = f"no axis moves {name} of the robot" if name in wanted else f"an axis moves {name}"
-        raise HardwareError(f"{what}; axes must move {', '.join(sorted(wanted))}")
+    faults = [f"no axis moves {name} of the robot" for name in sorted(wanted - moved)[:1]]
+    faults += [f"an axis moves {name}, which the robot does not have" for name in sorted(moved - wanted)[:1]]
+    if faults:
+        raise HardwareError(f"{', and '.join(faults)}; `joint` of the axes must be {', '.join(sorted(wanted))}")
     tubes = robot.tubes if mounted is None else mounted.tubes
     if len(tubes) != robot.d:
         raise HardwareError(f"the plan's robot has {robot.d} tubes, {len(tubes)} are mounted")

@@ -57,7 +57,9 @@ class Commissioning:
     def __init__(self, hardware: Hardware, open_link: Callable[[], ByteLink], clock: Clock) -> None:
         if hardware.connection.device != "grbl":
             raise HardwareError(
-                f"device of the connection is {hardware.connection.device!r}; only grbl can be commissioned"
+                f"device of the connection is {hardware.connection.device!r}; only a Grbl controller is "
+                'commissioned. Write device = "grbl", and its url, into the hardware file; without one, '
+                'step 4 of "Commissioning" in docs/hardware.md starts an emulated one'
             )
         self._hardware = hardware
         self._link = open_link()

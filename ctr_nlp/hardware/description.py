@@ -13,12 +13,13 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from ctr_nlp.exceptions import HardwareError, RobotError
+from ctr_nlp.exceptions import HardwareError, RobotError, suggest_names
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.axis import Axis, apply_axis_limits, check_fit
 from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.plan.backlash import BacklashAndDrag
 from ctr_nlp.robot import Robot
+from ctr_nlp.support.mistaken_files import HARDWARE_FILE, name_other_kind
 from ctr_nlp.support.value_checks import build_from_table, check_keys, number, read_toml
 from ctr_nlp.typing import Array
 
@@ -53,6 +54,7 @@ class Connection:
             if getattr(self, name) not in allowed:
                 raise HardwareError(
                     f"{name} of the connection is {getattr(self, name)!r}; it must be one of {', '.join(allowed)}"
+                    f"{suggest_names(getattr(self, name), allowed)}"
                 )
         if self.device != "simulated" and not (isinstance(self.url, str) and self.url):
             raise HardwareError(f"url of the connection is {self.url!r}; a {self.device} device needs one")
@@ -280,7 +282,8 @@ class Hardware:
                 hardware.apply_limits(hardware.robot)
             return hardware
         except (RobotError, HardwareError) as exception:
-            raise HardwareError(f"hardware file {path}: {exception}") from exception
+            other = name_other_kind(path, HARDWARE_FILE)
+            raise HardwareError(f"hardware file {path}: {other or exception}") from exception
 
 
 def simulated_hardware(robot: Robot) -> Hardware:

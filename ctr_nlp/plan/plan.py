@@ -48,6 +48,7 @@ from ctr_nlp.plan.simulation import Simulator
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.atomic_write import write_atomically
+from ctr_nlp.support.mistaken_files import PLAN, name_other_kind, suggest_file
 from ctr_nlp.support.notebook_card import CardLine, notebook_card_html
 from ctr_nlp.support.value_checks import check_choice, check_instance, checked_path, whole_number
 from ctr_nlp.typing import Array, Flags
@@ -475,9 +476,10 @@ class Plan(PlanData):
                 drawn = robustness_from_arrays({name: arrays.pop(name) for name in SAMPLE_ARRAY_NAMES}, seed)
             plan = cls(meta=meta, drawn=drawn, walls=walls, **arrays)._with_clearance_between()
         except OSError as error:
-            raise OutputError(f"plan {path} cannot be read: {error.strerror}") from error
+            raise OutputError(f"plan {path} cannot be read: {error.strerror}{suggest_file(path)}") from error
         except CtrError as error:
-            raise OutputError(f"{path} is not a plan: {error}") from error
+            other = name_other_kind(path, PLAN)
+            raise OutputError(f"plan {path}: {other}" if other else f"{path} is not a plan: {error}") from error
         # Last, since a damaged file is changed as well, and other errors say more.
         if changed:
             raise OutputError(

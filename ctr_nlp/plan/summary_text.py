@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.verdicts import NO, NOT_CHECKED
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
 from ctr_nlp.robot.tolerances import DEVIATION_NAMES, TOLERANCE_UNITS
 
 VERDICTS = ("", "verdict", "value", "why")
@@ -57,13 +57,14 @@ def _verdict_names(found: Mapping[str, Any], word: str) -> list[str]:
 def summarise_verdicts(found: Mapping[str, Any]) -> str:
     """Sum up all verdicts of a plan's summary `found` in one or two sentences."""
     count = len(found["verdicts"])
+    passed = len(_verdict_names(found, YES))
     no = _verdict_names(found, NO)
     unchecked = _verdict_names(found, NOT_CHECKED)
     told = []
     if no:
         told.append(f"This plan fails {len(no)} of {count} checks: {', '.join(no)}.")
     elif unchecked:
-        told.append("This plan is not known to be good.")
+        told.append(f"This plan passes {passed} of {count} checks.")
     if unchecked:
         told.append(f"Not checked: {', '.join(unchecked)}.")
     return " ".join(told) or f"This plan passes all {count} checks."
@@ -81,7 +82,7 @@ def measure_rows(found: dict[str, Any]) -> list[Row]:
         ("largest distance to the target", found["nearest_max"], "mm"),
         ("tip error in the last frame", found["tip_last"], "mm"),
         ("tip direction in the last frame, off by", found["tip_angle_last_deg"], "°"),
-        ("stops short of the target's length by", found["short"], "mm"),
+        ("length of the robot less that of the path", _negative(found["short"]), "mm"),
         ("largest tip error", found["tip_max"], "mm"),
         ("largest step of alpha, beta, theta", steps, "rad / mm / rad"),
         *_stability(found),
@@ -90,6 +91,11 @@ def measure_rows(found: dict[str, Any]) -> list[Row]:
         *_effort(found),
         ("frames", f"{found['frames']}, {f'{failed} not solved' if failed else solved}", ""),
     ]
+
+
+def _negative(value: float | None) -> float | None:
+    """Return the negative of a number, 0 without a sign; None for None."""
+    return None if value is None else 0.0 - value
 
 
 def remarks(plan: Plan, found: dict[str, Any]) -> list[str]:
@@ -147,10 +153,10 @@ def _certificate(plan: Plan) -> list[str]:
         return []
     told = []
     if "holds_at_least" in found:
-        told.append(
-            f"certificate: {found['outcome']} With 95 % confidence at least {100 * found['holds_at_least']:.1f} % "
-            "of all robots within the tolerances hold"
-        )
+        # Where hardly any sample holds the bound is 0 %, which says nothing.
+        least = f"{100 * found['holds_at_least']:.1f}"
+        bound = f" With 95 % confidence at least {least} % of all robots within the tolerances hold"
+        told.append(f"certificate: {found['outcome']}{bound if float(least) else ''}".rstrip("."))
     if found["held"]:
         return told
     frames = ", ".join(f"{frame} ({count})" for frame, count in found["lost_in"].items())

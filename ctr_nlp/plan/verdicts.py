@@ -37,6 +37,8 @@ MARGIN_SLACK = 0.005
 between frames is less (planning/stability_refinement.py)."""
 FORCE_SLACK_FRACTION = 0.02
 """Part of the allowed force by which it may be exceeded: forces are computed to 1 %."""
+MIN_REPORTED_SHORTNESS_MM = 0.05
+"""Length, mm, by which a robot must be shorter than its path for the reason of *arrives* to say so."""
 ROBUSTNESS_VERDICT_NAME = "holds on built robots"
 """The verdict on simulated robots within the tolerances."""
 REACHED_VERDICT_NAMES = "solved", "stable", "within_limits", "arrives", "within_wall", "holds"
@@ -62,6 +64,15 @@ class Verdict(NamedTuple):
         One or two sentences with the limit and the frame.
     value : str
         `number` with its unit, and further figures, as tables show them.
+
+    Notes
+    -----
+    ``print`` shows the check, its word and the reason; ``repr`` all attributes.
+
+    Examples
+    --------
+    >>> print(Verdict("stable", "no", 0.02, "", "The least margin is 0.02."))
+    stable: no (The least margin is 0.02)
     """
 
     matter: str
@@ -71,9 +82,8 @@ class Verdict(NamedTuple):
     why: str
     value: str = ""
 
-    @property
-    def with_reason(self) -> str:
-        """The check, its word and the reason, as in "stable: no (The least margin is 0.02)"."""
+    def __str__(self) -> str:
+        """Return the check, its word and the reason."""
         return f"{self.matter}: {self.word} ({self.why.rstrip('.')})"
 
 
@@ -111,6 +121,10 @@ class Verdicts(NamedTuple):
     within_limits: Verdict
     within_wall: Verdict
     holds: Verdict
+
+    def __str__(self) -> str:
+        """Return a line for each verdict: the check, its word and the reason."""
+        return "\n".join(map(str, self))
 
     @property
     def failed_names(self) -> tuple[str, ...]:
@@ -206,16 +220,20 @@ def _judge_arrival(plan: PlanData) -> Judgement:
     end = arrival(plan)
     if end is None:
         return NOT_CHECKED, None, "mm", "The robot's shape in the last frame is not known.", ""
-    short = f", {end.short:.1f} mm short" if end.short >= 0.05 else ""
-    value = f"{end.distance:.2f} mm, {end.angle_deg:.1f}°{short}"
+    value = f"{end.distance:.2f} mm, {end.angle_deg:.1f}°"
     why = (
-        f"The tip ends {end.distance:.2f} mm and {end.angle_deg:.1f}° from the target's end{short}; "
+        f"The tip ends {end.distance:.2f} mm and {end.angle_deg:.1f}° from the target's end; "
         f"{tolerance:g} mm is allowed."
     )
     shortcut = describe_shortcut(plan, tolerance)
     if end.distance <= tolerance and shortcut is not None:
         why += f" It does not come along the path: {shortcut}. The robot cannot follow this path."
         return NO, end.distance, "mm", why, value
+    if end.short >= MIN_REPORTED_SHORTNESS_MM:
+        # A sentence of its own, since only the tip's distance has a limit. A body that lies along the path is at
+        # most as much shorter as its tip is away from the end.
+        cuts = ", because it cuts the bends" if end.distance <= min(tolerance, end.short) else ""
+        why += f" The robot is {end.short:.1f} mm shorter than the path{cuts}."
     return _judge_by_shape(plan, end.distance <= tolerance, end.distance, "mm", why, value)
 
 

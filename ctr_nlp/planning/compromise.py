@@ -16,7 +16,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.models import DEFAULT_MODEL, Model
-from ctr_nlp.ocp.settings import Settings
+from ctr_nlp.ocp.settings import ARRIVAL_WEIGHT, Settings
 from ctr_nlp.ocp.terms import Term
 from ctr_nlp.paths.lumen import Lumen, outermost_tube_index, outermost_tube_radii
 from ctr_nlp.paths.problem import Problem
@@ -95,6 +95,27 @@ def planned_for(plan: Plan, one: Compromise) -> str:
     """
     own = one.arrival_weight is None
     return "all robots within the tolerances" if own and "certificate" in plan.meta else "the robot as described"
+
+
+def find_arrival_weight(plan: Plan, one: Compromise) -> float:
+    """Return the weight of arrival that a motion of the trade-off was planned with, mm^2 a mm.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan, made on a model that can predict snapping.
+    one : Compromise
+        The plan's own motion, or another one of :func:`compromises`.
+
+    Returns
+    -------
+    float
+        Its own weight, or for the plan's motion that of the plan's options.
+    """
+    if one.arrival_weight is not None:
+        return one.arrival_weight
+    asked = option(plan, "arrival_weight")
+    return ARRIVAL_WEIGHT if asked is None else float(asked)
 
 
 class PathDemands(NamedTuple):

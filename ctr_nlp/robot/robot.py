@@ -26,6 +26,7 @@ from ctr_nlp.robot.structure import Structure, TubeNumbers, helix_pieces, kind_o
 from ctr_nlp.robot.tolerances import Tolerances
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import between, did_you_mean, suggest_angle
+from ctr_nlp.support.mistaken_files import ROBOT_FILE, name_other_kind
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.tables import toml_text
 from ctr_nlp.support.value_checks import (
@@ -375,8 +376,10 @@ class Robot:
             if not (math.isfinite(value) and lo - tolerance <= value <= hi + tolerance):
                 turned = math.isfinite(value) and axis.partition("_")[0] in MAX_MOTOR_ANGLES_RAD
                 meant = suggest_angle(value, between(lo, hi)) if turned else []
+                unit = "mm" if axis.startswith("beta") else "rad"
                 raise RobotError(
-                    f"{axis} of {name} is {value:g}; it must lie in [{lo:g}, {hi:g}]{did_you_mean(meant)}"
+                    f"{axis} of {name} is {value:g} {unit}; it must lie in [{lo:g}, {hi:g}] {unit}"
+                    f"{did_you_mean(meant)}"
                 )
             # Limits of alpha may be infinite, but no drive turns on for ever.
             if axis.partition("_")[0] == "alpha":
@@ -491,7 +494,7 @@ class Robot:
         try:
             return cls.from_dict(read_toml(path))
         except RobotError as error:
-            raise RobotError(f"robot file {path}: {error}") from error
+            raise RobotError(f"robot file {path}: {name_other_kind(path, ROBOT_FILE) or error}") from error
 
 
 def mm_per_unit(d: int) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import CtrError, OptionError, RobotError, suggest_names
+from ctr_nlp.support.mistaken_files import suggest_file
 from ctr_nlp.typing import Array
 
 if sys.version_info >= (3, 11):
@@ -49,7 +50,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         data = tomllib.loads(checked_path(RobotError, path).read_text(encoding="utf-8"))
         _check_values(data, "")
     except OSError as error:
-        raise RobotError(f"it cannot be read: {error.strerror}") from error
+        raise RobotError(f"it cannot be read: {error.strerror}{suggest_file(path)}") from error
     except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
         raise RobotError(f"it is no TOML: {error}") from error
     return data

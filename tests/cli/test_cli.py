@@ -185,7 +185,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_solving(tmp_path, pla
         (["arc", "--motion-weight", "nan"], "motion_weight is nan"),
         (["arc", "--reverse"], "--reverse goes with a centreline file"),
         (["arc", "--robot", "missing.toml"], "robot file missing.toml"),
-        (["arc", "--start", "missing.json"], "start missing.json cannot be read"),
+        (["arc", "--start", "missing.json"], "configuration missing.json cannot be read"),
     ],
 )
 def test_bad_input_is_one_line_and_nothing_written(tmp_path, arguments, message, capsys):
@@ -308,7 +308,7 @@ def test_without_evaluation_nothing_reads_yes_that_needs_it(tmp_path, capsys):
     found = json.loads((out / "summary.json").read_text())["verdicts"]
     unchecked = {name for name, verdict in found.items() if verdict["word"] == "NOT CHECKED"}
     assert unchecked == {"arrives", "follows", "stable", "within_wall", "holds"}
-    assert "This plan is not known to be good." in capsys.readouterr().out
+    assert "This plan passes 2 of 7 checks. Not checked: arrives, follows," in capsys.readouterr().out
 
 
 def test_a_u_turn_is_never_called_good(shared_data, tmp_path):

@@ -119,7 +119,7 @@ def test_a_sweep_draws_and_lists_the_trade_off(tmp_path, capsys):
         (["arc", "--starts", "0"], "starts is 0"),
         (["arc", "--jobs", "-1"], "jobs is -1"),
         (["arc", "--seed", "-1"], "seed is -1"),
-        (["arc", "--start", "missing.json"], "start missing.json cannot be read"),
+        (["arc", "--start", "missing.json"], "configuration missing.json cannot be read"),
         (["arc", "--initial", "missing.npz"], "plan missing.npz cannot be read"),
         (["nowhere"], "problem is 'nowhere'"),
     ],
@@ -136,7 +136,7 @@ def test_bad_input_is_one_line_before_solving(tmp_path, arguments, message, caps
 def test_a_start_outside_the_limits_is_refused(tmp_path, configuration, capsys):
     start = configuration("start", (0, 0, 0), (0, 1, 160))
     assert solve("arc", "--frames", 5, "--start", start, "--out", tmp_path / "out") == 2
-    assert "beta_3 of start is 160; it must lie in [0, 150]" in capsys.readouterr().err
+    assert "beta_3 of start is 160 mm; it must lie in [0, 150] mm" in capsys.readouterr().err
 
 
 def test_ends_too_far_apart_are_refused_with_what_to_relax(tmp_path, configuration, capsys):

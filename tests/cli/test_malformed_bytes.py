@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from malformed import ENTRY, RIG, ROBOT, TARGET, legacy_vtk, markups, mask, plan_file, table, voxels, written
 
-from ctr_nlp import Plan, Robot, problem_from_file, read_csv
+from ctr_nlp import Plan, Robot, problem_from_file, read_csv, table_i_robot
 from ctr_nlp.cli.arguments import read_start
 from ctr_nlp.exceptions import CtrError
 from ctr_nlp.hardware.description import Hardware
@@ -24,7 +24,7 @@ READERS = {
     "c.mrk.json": (problem_from_file, json.dumps(markups()).encode()),
     "lines.vtk": (problem_from_file, legacy_vtk().encode()),
     "mask.nrrd": (functools.partial(problem_from_file, entry=ENTRY, target=TARGET), mask()),
-    "q.json": (read_start, b"[0, 0, 0, 10, 20, 30, 0, 0]"),
+    "q.json": (functools.partial(read_start, robot=table_i_robot()), b"[0, 0, 0, 10, 20, 30, 0, 0]"),
     "plan.npz": (Plan.load, None),
     "mask.nii": (functools.partial(problem_from_file, entry=ENTRY, target=TARGET), None),
 }

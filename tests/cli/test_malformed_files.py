@@ -23,7 +23,7 @@ from malformed import (
     written,
 )
 
-from ctr_nlp import Plan, Robot
+from ctr_nlp import Plan, Robot, table_i_robot
 from ctr_nlp.cli.arguments import read_start
 from ctr_nlp.cli.commands import robust
 from ctr_nlp.exceptions import MAX_MESSAGE_LENGTH, HardwareError, LoadError, OptionError, OutputError, RobotError
@@ -110,16 +110,17 @@ WHOLE_ROBOTS = [
     (b"[" * 5000, "robot.toml"),
 ]
 
+RANGE_OF_Y, RANGE_OF_Z = (f'letter = "{letter}"\nunit = "mm"\nrange = [0, 150]' for letter in "YZ")
 RIG_FILES = [
-    ("range = [0, 50] ", "range = [60, 80] ", r"axis X has the range \[60, 80\] mm.*robot allows \[0, 50\]"),
-    ("range = [0, 150]", "range = [0, 0.15]", r"upper limit of beta_3 is 0\.15 mm.*did you mean 150 mm"),
+    ("range = [0, 150]  ", "range = [60, 80]  ", r"axis X has the range \[60, 80\] mm.*robot allows \[0, 50\]"),
+    (RANGE_OF_Z, RANGE_OF_Z.replace("150", "0.15"), r"upper limit of beta_3 is 0\.15 mm.*did you mean 150 mm"),
     (
-        "range = [0, 107]",
-        "zero = 110\nrange = [0, 107]",
-        r"limits of beta_2 are .*axis Y has the range .*zero 110",
+        RANGE_OF_Y,
+        f"{RANGE_OF_Y}\nzero = 151",
+        r"limits of beta_2 are .*axis Y has the range .*zero 151",
     ),
-    ("range = [0, 107]", "sign = -1\nrange = [0, 107]", r"limits of beta_2 are \[0, .*axis Y .*sign -1"),
-    ("range = [0, 50] ", "range = [45, 50] ", None),
+    (RANGE_OF_Y, f"{RANGE_OF_Y}\nsign = -1", r"limits of beta_2 are \[0, .*axis Y .*sign -1"),
+    ("range = [0, 150]  ", "range = [45, 50]  ", None),
     ('letter = "X"', 'letter = "x"', "letter of beta_1 is 'x'; it must be one of X Y Z"),
     ('letter = "X"', 'letter = "Y"', "letter Y is given to 2 axes"),
     ('joint = "beta_1"', 'joint = "beta_7"', "no axis moves beta_1 of the robot|an axis moves beta_7"),
@@ -239,13 +240,16 @@ def cases():
     for old, new, message in RIG_FILES:
         run = functools.partial(rig, text=spoilt(RIG, old, new))
         yield Case(f"rig.toml: {new}", run, message and HardwareError, message or "it can be moved so")
-    crossed = spoilt(spoilt(RIG, "range = [0, 50] ", "range = [45, 50] "), "range = [0, 107]", "range = [0, 30]")
+    crossed = spoilt(
+        spoilt(RIG, "range = [0, 150]  ", "range = [45, 50]  "), RANGE_OF_Y, RANGE_OF_Y.replace("150", "30")
+    )
     message = "axis Y takes beta_2 to at most 30 mm, and axis X beta_1 to at least 45 mm"
     yield Case("rig.toml: ranges that cross", functools.partial(rig, text=crossed), HardwareError, message)
     for content, message in WHOLE_RIGS:
         yield of_file(Hardware.from_toml, "rig.toml", content, HardwareError, message, repr(content))
     for content, message in STARTS:
-        yield of_file(read_start, "q.json", content, OptionError, message, content[:30])
+        read = functools.partial(read_start, robot=table_i_robot())
+        yield of_file(read, "q.json", content, OptionError, message, content[:30])
     for changes, message in PLANS:
         label = ", ".join(f"{name} = {value!r:.40}" for name, value in changes.items()).replace("\n", "")
         run = functools.partial(lambda folder, changes: Plan.load(plan_file(folder, **changes)), changes=changes)

@@ -107,7 +107,7 @@ def test_a_malformed_list_is_one_clear_error_or_rightly_accepted(label, reader, 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("range = [0, 50] ", "range = [0, []] ", r"axes, number 1: range is \[0, \[\]\]"),
+        ("range = [0, 150]  ", "range = [0, []]  ", r"axes, number 1: range is \[0, \[\]\]"),
         ("translation = [0, 0, 0] ", "translation = [0, []] ", r"sensing: translation is \[0, \[\]\]"),
         (
             "# start_joints_deg = [0, -90, 90, 0, 90, 0] ",

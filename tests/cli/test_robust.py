@@ -142,7 +142,7 @@ def test_all_robots_within_the_tolerances_are_planned_for_by_default(small, tmp_
     assert nominal.meta["formulation"] == "horizon"
     assert nominal.verdicts.holds.word == "NOT CHECKED"
     assert plan.verdicts.holds.word != "NOT CHECKED"
-    assert told.index("plan for the robot as described: ") < told.index("holds on built robots ")
+    assert told.index("the robot as described ends with its tip ") < told.index("holds on built robots ")
     assert not (out / "nominal" / "shapes.png").exists(), "--no-figures was given"
     assert command(["plan", *small, "--out", str(out)]) in (0, 1), "the folder is one of ours"
 

@@ -85,11 +85,27 @@ def test_an_unsolved_frame_tells_its_reason_also_where_it_was_never_reached():
 @pytest.mark.parametrize(
     ("name", "column", "value", "message"),
     [
-        ("beta", 0, -0.1, r"beta_1 of frame 20 is -0.1; it must lie in \[0, 50\] on this hardware"),
-        ("beta", 2, 151.0, r"beta_3 of frame 20 is 151; it must lie in \[0, 1\d0\] on this hardware"),
+        (
+            "beta",
+            0,
+            -0.1,
+            r"beta_1 of frame 20 is -0.1 mm; it must lie in \[0, 50\] mm on this hardware; the `range` .* "
+            r"joint = \"beta_1\" .*Is the hardware file for the robot",
+        ),
+        ("beta", 2, 151.0, r"beta_3 of frame 20 is 151 mm; it must lie in \[0, 1\d0\] mm on this hardware"),
         ("beta", 1, 35.0, "beta_2 of frame 20 is 35 mm and exceeds beta_3, 30 mm on this hardware"),
-        ("alpha", 0, 7.0, r"alpha_1 of frame 20 is 7; it must lie in \[-6.28319, 6.28319\] on this hardware"),
-        ("theta", 1, 0.1, r"theta_y of frame 20 is 0.1; .* \[0, 0\] on this hardware; it has no arm .* --lock"),
+        (
+            "alpha",
+            0,
+            7.0,
+            r"alpha_1 of frame 20 is 7 rad; it must lie in \[-6.28319, 6.28319\] rad on this hardware",
+        ),
+        (
+            "theta",
+            1,
+            0.1,
+            r"theta_y of frame 20 is 0.1 rad; .* \[0, 0\] rad on this hardware; it has no arm .* --lock",
+        ),
         (
             "alpha",
             1,
@@ -171,7 +187,9 @@ def test_a_tilt_needs_an_arm_that_is_fast_enough():
     plan = tilting()
     rig = simulated_hardware(plan.robot)
     prepare_trajectory(plan, rig)
-    complaint(plan, r"theta_x of frame 2 is .*; it must lie in \[0, 0\] on this hardware", replace(rig, arm=None))
+    complaint(
+        plan, r"theta_x of frame 2 is .*; it must lie in \[0, 0\] rad on this hardware", replace(rig, arm=None)
+    )
     with pytest.raises(
         TrajectoryError,
         match=rf"the tilt, at {TRAJECTORY_SAMPLES_PER_FRAME} places a frame: speed of joint \d \(.*\)",

@@ -319,7 +319,7 @@ def test_the_commented_lines_of_the_example_are_a_controller(tmp_path):
         ('letter = "Y"', 'letter = "X"', "letter X is given to 2 axes"),
         ('joint = "alpha_1"\nletter = "A"\nunit = "deg"', 'joint = "alpha_1"\nletter = "A"\nunit = "mm"',
          "unit of alpha_1 is 'mm'; it must be deg or rad"),
-        ("range = [0, 107]", "range = [107]", r"range of beta_2 is \[107\]; it must be 2 numbers"),
+        ("range = [0, 150]  ", "range = [150]  ", r"range of beta_1 is \[150\]; it must be 2 numbers"),
         ("speed = 600 ", "speed = inf ", "speed of alpha_1 is inf"),
         ('device = "simulated"  ', 'device = "grbl"', "url of the connection is ''"),
         ('device = "simulated"  ', 'devise = "grbl"', "key 'devise' is unknown in connection"),
@@ -328,7 +328,7 @@ def test_the_commented_lines_of_the_example_are_a_controller(tmp_path):
         ("[arm]", "[arm]\ncolour = 1", "key 'colour' is unknown in arm"),
         ("[arm]", "[lag]\nplay = -0.1\n[arm]", "play of a lag is -0.1; it must be at least 0"),
         ("[arm]", "[lag]\nplay = [0, 0]\ndarg = 1\n[arm]", "key 'darg' is unknown in lag; allowed are play"),
-        ("range = [0, 107]", "range = ", "line \\d+"),
+        ("range = [0, 150]  ", "range = # ", "line \\d+"),
     ],
 )  # fmt: skip
 def test_a_wrong_hardware_file_is_named_with_what_is_wrong(tmp_path, old, new, message):

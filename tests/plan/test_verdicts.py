@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.plan.motion_evaluation import evaluate_motion
 from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_outcomes
 from ctr_nlp.plan.simulation import Simulator
-from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
+from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS, remarks
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdicts, outcome_sentence
 from ctr_nlp.problems import named_problem
 from ctr_nlp.view.figures.parts.page import outcome
@@ -129,7 +130,32 @@ def test_direction_and_shortness_of_the_last_frame_stand_beside():
     plan = made([LINE * 0.9], [LINE], q, tip_direction=np.array([[math.sin(0.5), 0, math.cos(0.5)]]))
     found = replace(plan, meta=plan.meta | {"model": "elastic"}).verdicts.arrives
     assert found.word == NO
-    assert found.value == "10.00 mm, 28.6°, 10.0 mm short"
+    assert found.value == "10.00 mm, 28.6°"
+    assert found.why.endswith("2 mm is allowed. The robot is 10.0 mm shorter than the path.")
+
+
+def test_a_robot_that_cuts_bends_and_arrives_says_so():
+    bent = LINE + np.outer(np.sin(np.pi * np.linspace(0, 1, 101)), [12.0, 0.0, 0.0])
+    plan = made([LINE], [bent], np.tile(OUT, (1, 1)), tip_direction=np.array([[0.0, 0, 1]]))
+    found = replace(plan, meta=plan.meta | {"model": "elastic"}).verdicts.arrives
+    assert found.number == pytest.approx(0.0, abs=1e-9)
+    assert re.search(r"2 mm is allowed\. The robot is \d\.\d mm shorter than the path, because it cuts", found.why)
+
+
+@pytest.mark.parametrize(("least", "bound"), [(0.985, "at least 98.5 % of all robots"), (0.0, None)])
+def test_a_certificate_names_only_a_bound_that_says_something(least, bound):
+    plan = shifted(1.0)
+    certificate = {"outcome": "0 of 200 simulated robots hold.", "holds_at_least": least, "held": True}
+    found = replace(plan, meta=plan.meta | {"certificate": certificate})
+    (told,) = [text for text in remarks(found, summary(found)) if text.startswith("certificate")]
+    assert (bound in told) if bound else told == "certificate: 0 of 200 simulated robots hold"
+
+
+def test_printed_verdicts_are_sentences():
+    found = shifted(1.0).verdicts
+    assert str(found.arrives).startswith("arrives: ")
+    assert found.arrives.why.rstrip(".") in f"{found.arrives}"
+    assert str(found).splitlines() == [str(verdict) for verdict in found]
 
 
 def test_reaching_the_target_on_the_dominant_model_is_not_checked_and_missing_it_is_no():
@@ -561,7 +587,7 @@ def test_summary_terminal_and_python_have_the_same_words_and_numbers(name, capsy
     ("plan", "text"),
     [
         ("fast", "This plan fails 1 of 7 checks: within limits. Not checked: stable, within the wall"),
-        ("good", "This plan is not known to be good. Not checked: within the wall, holds on built robots."),
+        ("good", "This plan passes 5 of 7 checks. Not checked: within the wall, holds on built robots."),
     ],
 )
 @pytest.mark.hazard("what was not checked reads as passed")

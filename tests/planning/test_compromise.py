@@ -7,12 +7,14 @@ import pytest
 
 from ctr_nlp import Settings, solve_horizon, table_i_robot
 from ctr_nlp.exceptions import ProblemError
+from ctr_nlp.ocp.settings import ARRIVAL_WEIGHT
 from ctr_nlp.plan.measures import Contact
 from ctr_nlp.planning import compromise as module
 from ctr_nlp.planning.compromise import (
     Compromise,
     compromise_sentences,
     compromises,
+    find_arrival_weight,
     find_path_demands,
     pareto_front,
 )
@@ -46,6 +48,15 @@ def test_what_can_be_had_lies_between_contact_first_and_arrival_first(problem, p
     assert own.contact >= -plan.clearance.min() - 1e-12
     figure = compromise(plan, found)
     assert "Arrival against contact" in figure.get_suptitle()
+    assert [find_arrival_weight(plan, one) for one in (by_weight[0.0], own)] == [0.0, ARRIVAL_WEIGHT]
+
+
+def test_a_motion_beaten_by_another_one_is_named(plan):
+    places = {None: (1.0, 1.0), 5.0: (3.0, 0.5), 10.0: (2.0, 2.0)}  # tip and contact, mm
+    found = [Compromise(weight, *place, 1.0, True, None) for weight, place in places.items()]
+    labels = [text.get_text() for text in compromise(plan, found).axes[0].get_legend().get_texts()]
+    other = "other motions, for the robot as described"
+    assert {other, f"{other}, another is better in both"} <= set(labels)
 
 
 def test_motions_begin_where_the_plan_was_asked_to(problem, plan, monkeypatch):

@@ -306,7 +306,11 @@ def test_what_a_point_exceeds_is_said_by_limit_frame_and_amount(problem):
         ({"jobs": 0}, OptionError, "jobs is 0"),
         ({"initial": [np.zeros((3, 8))]}, OptionError, r"shape \(3, 8\); it must be \(12, 8\)"),
         ({"initial": [np.full((12, 8), np.nan)]}, OptionError, "finite"),
-        ({"start": [0, 0, 0, 60, 70, 80, 0, 0]}, RobotError, r"beta_1 of start is 60; it must lie in \[0, 50\]"),
+        (
+            {"start": [0, 0, 0, 60, 70, 80, 0, 0]},
+            RobotError,
+            r"beta_1 of start is 60 mm; it must lie in \[0, 50\] mm",
+        ),
         ({"end": [0, 0, 0, 60, 70, 80, 0, 0]}, RobotError, "beta_1 of end is 60"),
         ({"start": [0.0] * 7}, RobotError, "start has shape"),
         ({"start": [0] * 8, "end": [40] + [0] * 7}, ProblemError, "speed of alpha_1 would have to be 2.00 times"),

@@ -141,7 +141,7 @@ def test_a_motion_can_start_fully_retracted(arc_problem, formulation):
 
 
 def test_a_start_outside_the_limits_is_refused(arc_problem):
-    with pytest.raises(RobotError, match=r"beta_1 of start is 60; it must lie in \[0, 50\]"):
+    with pytest.raises(RobotError, match=r"beta_1 of start is 60 mm; it must lie in \[0, 50\] mm"):
         solve_per_frame(arc_problem, model="dominant", start=[0, 0, 0, 60, 70, 80, 0, 0])
 
 

@@ -410,7 +410,7 @@ def test_a_time_step_that_is_no_positive_number_is_refused(dt):
 @pytest.mark.parametrize(
     ("q", "message"),
     [
-        ([*Q0[:5], 151, 0, 0], r"beta_3 of q is 151; it must lie in \[0, 150\]"),
+        ([*Q0[:5], 151, 0, 0], r"beta_3 of q is 151 mm; it must lie in \[0, 150\]"),
         ([*Q0[:3], -1, *Q0[4:]], r"beta_1 of q is -1; it must lie in"),
         ([*Q0[:7], 3.2], r"theta_y of q is 3.2; it must lie in"),
         ([*Q0[:3], 40, 30, 105, 0, 0], r"beta_1 of q is 40 mm and exceeds beta_2, 30 mm"),

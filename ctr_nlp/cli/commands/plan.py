@@ -218,7 +218,8 @@ def _with_fitting_robot(problem: Problem, arguments: argparse.Namespace, model: 
     tilt = list(zip(problem.robot.lower[-2:].tolist(), problem.robot.upper[-2:].tolist(), strict=True))
     robots = {name: robot.with_limits(theta=tilt) for name, robot in read_robot_files().items()}
     with progress_bar() as labelled:
-        best = choose_robot(problem, robots, jobs=CHOICE_JOBS, progress=labelled("robots of the package are compared"))
+        told = labelled("robots of the package are compared")
+        best = choose_robot(problem, robots, jobs=CHOICE_JOBS, progress=told)
     if best is None:
         return problem
     announce(
@@ -379,7 +380,7 @@ def _plan_per_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
     direction: Direction = arguments.direction or "best"
     asked: dict[str, Any] = {
         "settings": _settings(arguments, problem, *FRAME_SETTINGS),
-        "start": None if arguments.start is None else read_start(arguments.start),
+        "start": None if arguments.start is None else read_start(arguments.start, problem.robot),
         "model": model_from_options(plan_options.model_from(arguments), arguments),
         "solver": arguments.solver,
         "terms": plan_options.terms_from(arguments),
@@ -402,7 +403,9 @@ def _plan_horizon(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan
 
     settings = _settings(arguments, problem, "seed")
     jobs = 1 if arguments.jobs is None else arguments.jobs
-    start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
+    start, end = (
+        None if path is None else read_start(path, problem.robot) for path in (arguments.start, arguments.end)
+    )
     check_search(arguments.motion_weight, arguments.starts, jobs)
     initial = checked_motions(problem, [Plan.load(path).q for path in arguments.initial or ()])
     points: list[ParetoPoint] = []
@@ -455,7 +458,7 @@ def _plan_robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> 
     }
     for name in ("start", "end"):
         if (path := getattr(arguments, name, None)) is not None:
-            asked[name] = read_start(path)
+            asked[name] = read_start(path, problem.robot)
     if arguments.most_lost is not None:
         asked["most_lost"] = arguments.most_lost
     if whole:
@@ -498,8 +501,8 @@ def _write_nominal_plan(plan: Plan, out: Path, figures: bool, film: Path | None)
     found = summary(plan)
     tip = found["tip_last"]
     announce(
-        f"plan for the robot as described: {summary_text.summarise_verdicts(found)} The tip ends {tip:.2f} mm off "
-        f"the target."
+        f"the robot as described ends with its tip {tip:.2f} mm from the target. "
+        f"{summary_text.summarise_verdicts(found)}"
     )
     report_written_files(place, files)
     announce("now planning for all robots within the tolerances, which takes longer")

@@ -21,7 +21,7 @@ from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
 from ctr_nlp.cli.second_opinion import require_agreement
 from ctr_nlp.cli.terminal_output import busy, print_stderr, progress_bar
-from ctr_nlp.exceptions import DeviceFault, OptionError
+from ctr_nlp.exceptions import DeviceFault, HardwareError, OptionError
 from ctr_nlp.hardware.axis import LETTERS
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Hardware, simulated_hardware
@@ -42,6 +42,7 @@ from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import play_plan, prepare_trajectory, resume
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS
+from ctr_nlp.robot import Robot
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 
@@ -150,7 +151,7 @@ def _run(arguments: argparse.Namespace) -> int:
         hardware = closed_loop.with_sensor(hardware, arguments.sensor)
     asked = not (arguments.retract or arguments.resume or arguments.replay)
     if asked:  # no option waives what check_plan refuses: it comes first
-        check_plan(plan, hardware.apply_limits(plan.robot))
+        check_plan(plan, _apply_limits(hardware, plan.robot, arguments.hardware))
     print_stderr(NOT_FOR_PATIENTS)
     if asked:
         _ask_permission(arguments, plan)
@@ -174,6 +175,16 @@ def _run(arguments: argparse.Namespace) -> int:
     looped = closed_loop.start_closed_loop(plan, hardware, records) if arguments.closed_loop else nullcontext()
     with looped as loop, live_views.open_playback_view(plan) if arguments.live else nullcontext() as told:
         return _play_plan(arguments, plan, hardware, out, records, told, loop)
+
+
+def _apply_limits(hardware: Hardware, robot: Robot, file: str | None) -> Robot:
+    """Return the robot with the limits of the hardware, too; errors name the hardware's file, None for none."""
+    try:
+        return hardware.apply_limits(robot)
+    except HardwareError as error:
+        if file is None:
+            raise
+        raise HardwareError(f"hardware file {file}: {error}") from error
 
 
 def _ask_permission(arguments: argparse.Namespace, plan: Plan) -> None:

@@ -91,7 +91,7 @@ def _row(one: RobotChoice) -> list[Any]:
     if one.plan is None:
         return [one.name, outer, "no", "", "", "", None, "", one.reason]
     found = one.plan.verdicts
-    binding = "" if one.binding is None else one.binding.with_reason
+    binding = "" if one.binding is None else str(one.binding)
     reaches = "yes" if one.reaches else "no"
     return [
         *(one.name, outer, reaches, found.follows.word, found.arrives.value, found.within_wall.value),

@@ -90,9 +90,26 @@ def _check_limits(robot: Robot, q: Array, name: str) -> None:
     try:
         robot.check(q, name)
     except RobotError as exception:
-        level = "theta" in str(exception) and not (robot.lower[-2:].any() or robot.upper[-2:].any())
-        hint = "; it has no arm that tilts: plan with --lock-tilt" if level else ""
-        raise TrajectoryError(f"{exception} on this hardware{hint}") from exception
+        raise TrajectoryError(
+            f"{exception} on this hardware{_hint_at_limits(robot, str(exception))}"
+        ) from exception
+
+
+def _hint_at_limits(robot: Robot, message: str) -> str:
+    """Return what may be wrong where a configuration violates a limit, to be added to the message of that.
+
+    robot: with the limits of the hardware. message: begins with the joint where a single limit is violated.
+    """
+    joint, _, limit = message.partition(" of ")
+    if "must lie in" not in limit:
+        return ""
+    if joint.startswith("theta"):
+        level = not (robot.lower[-2:].any() or robot.upper[-2:].any())
+        return "; it has no arm that tilts: plan with --lock-tilt" if level else ""
+    return (
+        f'; the `range` of the axis with joint = "{joint}" in the hardware file, and the limits of the robot, '
+        "bound it. Is the hardware file for the robot that was planned for?"
+    )
 
 
 def _check_snaps(snaps: Sequence[Snap], frame: npt.NDArray[Any]) -> None:

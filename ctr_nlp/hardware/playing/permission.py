@@ -59,7 +59,7 @@ def check_permission(
     refused = [verdict for verdict in open_verdicts if not (free_space and verdict is wall and wall.word != NO)]
     if not refused or uncertified:
         return open_verdicts
-    reasons = "; ".join(verdict.with_reason for verdict in refused)
+    reasons = "; ".join(map(str, refused))
     remedies = []
     if any(verdict.word != NO for verdict in refused if verdict is not wall):
         remedies.append(f"`ctr-nlp robust {name}` checks stability and simulated robots")

@@ -48,7 +48,7 @@ def compromise(plan: Plan, found: Sequence[Compromise]) -> Figure:
         look: dict[str, Any] = {"marker": "o", "color": colour, "ms": 5}
         if own:
             look = {"marker": "D", "color": VERMILLION, "ms": 8}
-        axes.plot(one.contact, one.tip, ls="", mec=BLACK, label=_label(plan, one), **look)
+        axes.plot(one.contact, one.tip, ls="", mec=BLACK, label=_label(plan, one, one in front), **look)
     axes.set_xlim(left=left)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("deepest contact (mm; negative: clear of the wall)")
@@ -59,6 +59,12 @@ def compromise(plan: Plan, found: Sequence[Compromise]) -> Figure:
     return figure
 
 
-def _label(plan: Plan, one: Compromise) -> str:
-    """Return the name of a motion in the legend: whether it is the plan, and which robots it was planned for."""
-    return f"{'this plan' if one.arrival_weight is None else 'other motions'}, for {planned_for(plan, one)}"
+def _label(plan: Plan, one: Compromise, on_front: bool) -> str:
+    """Return the name of a motion in the legend: whether it is the plan, and which robots it was planned for.
+
+    on_front: whether no other motion is better in both arrival and contact.
+    """
+    if one.arrival_weight is None:
+        return f"this plan, for {planned_for(plan, one)}"
+    beaten = "" if on_front else ", another is better in both"
+    return f"other motions, for {planned_for(plan, one)}{beaten}"
