@@ -91,8 +91,10 @@ def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Proble
 def file_option_words(arguments: argparse.Namespace) -> list[str]:
     """Return the options of `FILE_OPTIONS` that were given, as words of another command that takes them."""
     words = list[str]()
-    for name in FILE_OPTIONS:
-        value = getattr(arguments, name, None)
+    given = {name: getattr(arguments, name, None) for name in FILE_OPTIONS}
+    # Further files of a tree are also taken without --pieces.
+    given["pieces"] = [*getattr(arguments, "more_files", ()), *(given["pieces"] or ())] or None
+    for name, value in given.items():
         if value is None:
             continue
         words.append(f"--{name.replace('_', '-')}")

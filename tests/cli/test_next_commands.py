@@ -101,3 +101,15 @@ def test_without_robots_a_tree_is_tried_with_those_of_the_package(capsys):
     robots = _read_robots(None)
     assert len(robots) > 1
     assert f"robots: {', '.join(robots)}, which come with the package" in capsys.readouterr().out
+
+
+def test_a_plan_that_fails_within_an_anatomy_is_followed_by_a_comparison_of_robots(tmp_path, capsys):
+    u = np.linspace(0.0, 60.0, 31)
+    file = tmp_path / "a bend.csv"
+    rows = np.stack([15 * (1 - np.cos(u / 15)), 0 * u, 15 * np.sin(u / 15), np.full(31, 2.0)], axis=1)
+    np.savetxt(file, rows, delimiter=",", header="x_mm,y_mm,z_mm,radius_mm", comments="")
+    told = ["--robot", "stock_1", "--smoothing", "0.5", "--out", str(tmp_path / "out")]
+    assert steer([str(file), "--model", "dominant", "--frames", "3", "--no-figures", *told]) == 1
+    printed = capsys.readouterr().out
+    words = f"ctr-nlp choose '{file}' --smoothing 0.5"
+    assert f"next, which robots of the package reach this end: {words}\n" in printed

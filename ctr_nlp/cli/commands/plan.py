@@ -186,12 +186,15 @@ def _run(arguments: argparse.Namespace) -> int:
     if film is not None:
         report_written_files(film)
     if not interrupted:
-        suggest_next(*_next_commands(plan, place / "plan.npz"))
+        suggest_next(*_next_commands(plan, place / "plan.npz", arguments))
     return EXIT_INTERRUPTED if interrupted else exit_status(plan)
 
 
-def _next_commands(plan: Plan, file: Path) -> list[tuple[str, list[object]]]:
-    """Return what a person may want to do with a plan in a file, and the commands; only a good plan is played."""
+def _next_commands(plan: Plan, file: Path, arguments: argparse.Namespace) -> list[tuple[str, list[object]]]:
+    """Return what a person may want to do with a plan in a file, and the commands; only a good plan is played.
+
+    After one that fails within an anatomy, the robots of the package are compared on its path.
+    """
     commands: list[tuple[str, list[object]]] = [
         ("a page on which the robot moves", ["report", file]),
         ("an independent check", ["check", file]),
@@ -199,6 +202,9 @@ def _next_commands(plan: Plan, file: Path) -> list[tuple[str, list[object]]]:
     if not (plan.verdicts.failed_names or plan.verdicts.unchecked_names):
         words = ["play", file, "--hardware", "FILE.toml", "--dry-run"]
         commands.append(("a trial with your rig's limits, without motion", words))
+    elif plan.verdicts.failed_names and plan.wall is not None and problems.is_anatomy(arguments.problem):
+        words = ["choose", arguments.problem, *problems.file_option_words(arguments)]
+        commands.append(("which robots of the package reach this end", words))
     return commands
 
 
