@@ -234,6 +234,18 @@ def test_the_frame_of_the_least_margin_is_named():
     assert checker._judge_stability(margin, [2], 0.1).why == "The robot snaps on the way to frame 2."
 
 
+def test_the_last_frames_tip_is_compared_with_the_targets_end():
+    beta = np.array([[40.0, 50.0], [40.0, 60.0], [40.0, 90.0]])
+    given = {"target": np.zeros((3, 101, 3)), "target_direction": np.tile([0.0, 0, 1], (3, 1))}
+    given |= {"success": np.ones(3, dtype=bool), "kkt": np.zeros(3)}
+    moved, still = (
+        checker.examine_motion(robot_file(arrays=given | {"beta": each})) for each in (beta, beta[[2, 2, 2]])
+    )
+    assert moved.tip_degrees == pytest.approx(still.tip_degrees, abs=1e-6)
+    others = checker.examine_motion(robot_file(arrays=given | {"beta": beta[[1, 1, 1]]}))
+    assert abs(moved.tip_degrees - others.tip_degrees) > 1
+
+
 class NearlyRound:
     """A cylinder whose smooth field leaves 0.2 mm more room than its triangles."""
 
