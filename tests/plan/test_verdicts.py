@@ -19,6 +19,9 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp.settings import THRESHOLDS
 from ctr_nlp.paths.lumen import Lumen
+from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.plan import verdicts
+from ctr_nlp.plan.measures import DeepestPoint
 from ctr_nlp.plan.motion_evaluation import evaluate_motion
 from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_outcomes
 from ctr_nlp.plan.simulation import Simulator
@@ -714,3 +717,32 @@ def test_snaps_are_counted_and_the_first_is_named():
     assert "on the way to frame 2, and 2 times more." in twisted([0.5] * 3, snaps=[2, 3, 3]).verdicts.stable.why
     assert "unstable in frame 3 or on the way" in twisted([0.5, 0.5, -0.1]).verdicts.stable.why
     assert "bifurcation around frame 2;" in twisted([0.5, 0.0005, 0.1]).verdicts.stable.why
+
+
+def test_the_wall_that_is_missed_by_most_comes_first(monkeypatch):
+    def points(_):
+        return {
+            name: DeepestPoint(depth, "in frame", frame, 1, 30.0, np.zeros(3))
+            for name, depth, frame in (("lumen", 0.2, 1), ("vessel", 0.9, 2), ("nodule", -3.0, 1))
+        }
+
+    monkeypatch.setattr(verdicts, "find_deepest_points", points)
+    found = walled(0.2, 0.3).verdicts.within_wall
+    assert (found.word, found.number) == (NO, pytest.approx(0.9))
+    assert found.value == "0.90 mm deep, frame 2 (vessel)"
+    assert found.why.index("vessel") < found.why.index("lumen") < found.why.index("nodule")
+
+
+@pytest.mark.parametrize(("bulge", "word"), [(5.0, YES), (40.0, NO)])
+def test_a_tip_that_arrives_beside_the_path_has_taken_a_shortcut(bulge, word):
+    shape = LINE + bulge * np.sin(np.pi * SIGMA_GRID)[:, None] * [1.0, 0.0, 0.0]
+    found = made([LINE, shape], [LINE, LINE], np.tile(OUT, (2, 1)))
+    described = {"options": {}, "failures": {}, "interrupted": False, "model": "elastic"}
+    verdict = replace(found, meta=found.meta | described).verdicts.arrives
+    assert verdict.word == word
+    assert ("does not come along the path" in verdict.why) == (word == NO)
+    # Where the tip does not arrive, how it came there is not said.
+    late = made([LINE, shape + np.array([0, 0, 9.0])], [LINE, LINE], np.tile(OUT, (2, 1)))
+    missed = replace(late, meta=late.meta | described).verdicts.arrives
+    assert missed.word == NO
+    assert "does not come along the path" not in missed.why
