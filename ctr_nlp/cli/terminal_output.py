@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from datetime import timedelta
@@ -343,7 +343,14 @@ class _ProgressLines:
             count = "" if _is_uncounted(task) else f", {task.completed:.0f} of {task.total:.0f}"
             left = _seconds_left(task)
             until = "" if left is None else f", about {left:.0f} s left"
-            self._bar.console.print(f"{now - self._times.begin:8.1f} s  {task.description}{count}{until}")
+            line = f"{now - self._times.begin:8.1f} s  {task.description}{count}{until}"
+            if self._bar.console.is_terminal:
+                self._bar.console.print(line)
+                return
+            # A log that is not read any more must not end the work, least of all while motors run; rich would end
+            # the process.
+            with suppress(OSError):
+                print_stderr(line)
 
 
 @contextmanager

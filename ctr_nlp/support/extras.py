@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -47,4 +48,4 @@ def install_command(extra: str) -> str:
     python = Path(sys.executable)
     if python.is_relative_to(Path.cwd()):
         python = python.relative_to(Path.cwd())
-    return f'{python} -m pip install "ctr_nlp[{extra}]"'
+    return f'{shlex.quote(str(python))} -m pip install "ctr_nlp[{extra}]"'

@@ -15,6 +15,7 @@ from common import ROOT, UNJUDGED
 from compare import main as compare_solvers
 
 from ctr_nlp import Plan
+from ctr_nlp.cli import terminal_output
 from ctr_nlp.cli.commands.plan import plan as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.output.folder import MARK
@@ -78,7 +79,7 @@ def test_a_named_problem_becomes_a_folder_of_results(tmp_path, capsys):
 def test_files_come_whole_or_not_at_all_before_anything_is_shown(tmp_path, capsys, monkeypatch):
     out, seen = tmp_path / "out", []
 
-    def drawn(plan, folder):
+    def drawn(plan, folder, progress):
         seen.append((capsys.readouterr().out, out.exists() and set(out.iterdir())))
         raise OutputError("no room for pictures")
 
@@ -277,8 +278,11 @@ def test_failed_frames_make_exit_status_1(tmp_path, monkeypatch, capsys):
         (("--contact-weight", 0.05), []),
     ],
 )
-def test_a_plan_that_misses_its_end_or_leaves_its_lumen_is_exit_status_1(options, failed, tmp_path, capsys):
+def test_a_plan_that_misses_its_end_or_leaves_its_lumen_is_exit_status_1(
+    options, failed, tmp_path, capsys, monkeypatch
+):
     """Though all frames are solved, and nobody looked on the elastic model."""
+    monkeypatch.setattr(terminal_output, "PIPED_TABLE_WIDTH", 200)  # so that cells are not broken
     given = "bronchus", "--frames", 20, *options, "--no-figures", "--out", tmp_path / "out"
     assert solve(*given) == bool(failed)
     found = json.loads((tmp_path / "out" / "summary.json").read_text())

@@ -163,6 +163,17 @@ def test_a_log_gets_a_line_while_a_step_reports_nothing(capsys, monkeypatch):
             seen += capsys.readouterr().err
 
 
+def test_work_goes_on_where_the_log_is_not_read_any_more(monkeypatch):
+    class Closed(io.StringIO):
+        def write(self, text):
+            raise BrokenPipeError
+
+    monkeypatch.setattr(terminal_output, "LONGEST_SILENCE_S", 0.0)
+    monkeypatch.setattr(sys, "stderr", Closed())
+    with progress_bar() as labelled:
+        labelled("pictures are drawn")(4, 4, "errors")
+
+
 def test_a_short_command_prints_no_progress_in_a_log(capsys, monkeypatch):
     monkeypatch.setattr(terminal_output, "LONGEST_SILENCE_S", 1e6)
     with progress_bar() as labelled:

@@ -102,6 +102,15 @@ def test_shipped_robot_files_say_how_they_were_designed():
         assert "--walls" in head, path.name
 
 
+def test_robots_are_counted_while_they_are_compared(sharp, dominant):
+    told = []
+    choose_robot(sharp, ROBOTS, progress=lambda *step: told.append(step))
+    assert told == [(0, 2, "straight"), (1, 2, "bent")]
+    told.clear()
+    compare_robots(sharp, ROBOTS, progress=lambda *step: told.append(step))
+    assert told == [(0, 2, "straight, bent"), (1, 2, "bent"), (2, 2, "")]
+
+
 def test_a_folder_without_robot_files_is_refused(tmp_path):
     with pytest.raises(RobotError, match="has no robot file"):
         read_robot_files(tmp_path)

@@ -43,7 +43,8 @@ def _run(arguments: argparse.Namespace) -> int:
     plans = [Plan.load(path) for path in arguments.plans]
     with busy("plans are checked a second time"):
         opinions = [form_opinions(path) for path in arguments.plans]
-    text = page(plans, arguments.plans, opinions)
+    with busy("the page is made"):
+        text = page(plans, arguments.plans, opinions)
     with output_folder(out, "report") as staging:
         write_text(staging / PAGE, text)
         if film is not None:

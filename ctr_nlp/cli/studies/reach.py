@@ -142,6 +142,7 @@ def _run(arguments: argparse.Namespace) -> int:
     _print(found)
     report_written_files(out, files)
     if not found.complete:
+        announce("Not everything is planned yet; the same command goes on where it was.")
         return EXIT_INTERRUPTED
     missed = next((one for one in found.best if one.outcome in (MISSED, NEARLY)), None)
     if missed is not None:

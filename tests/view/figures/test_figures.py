@@ -103,7 +103,9 @@ def tube_lengths(axes):
 @pytest.mark.parametrize("tubes", [1, 2, 3, 4])
 def test_all_pictures_are_written_for_any_number_of_tubes(tmp_path, tubes):
     robot = Robot(four_tubes().tubes[:tubes])
-    paths = save_all(solved(robot, length=30.0), tmp_path)
+    told = []
+    paths = save_all(solved(robot, length=30.0), tmp_path, lambda *step: told.append(step))
+    assert told == [(number, 4, path.stem) for number, path in enumerate(paths)]
     assert [path.name for path in paths] == ["shapes.png", "errors.png", "by_frame.png", "configuration.png"]
     for path in paths:
         pixels = imread(path)
