@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ctr_nlp.plan.measures import describe_place, points_in_file
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
 from ctr_nlp.robot.tolerances import DEVIATION_NAMES, TOLERANCE_UNITS
@@ -30,11 +31,29 @@ def title(found: dict[str, Any]) -> str:
 
     found: the plan's summary.
     """
+    return f"{found['problem']}: {describe_method(found)}"
+
+
+def headline(plan: Plan) -> str:
+    """Return what a plan is about: its problem, where its path ends, and which robot is to go there."""
+    # In the robot's base frame where there is no file.
+    known = plan.meta["problem"].get("space") is not None
+    end = points_in_file(plan, plan.target[-1, -1]) if known else plan.target[-1, -1]
+    widths = ", ".join(f"{tube.outer_diameter:.2f}" for tube in plan.robot.tubes)
+    tubes = f"{plan.robot.d} tubes of {widths}" if plan.robot.d > 1 else f"a tube of {widths}"
+    return f"{plan.meta['problem']['name']}: to {describe_place(plan, end)}, with {tubes} mm"
+
+
+def describe_method(found: dict[str, Any]) -> str:
+    """Return how a plan was made: formulation, direction, model, solver, and the model of its evaluation.
+
+    found: the plan's summary.
+    """
     direction = "" if found["direction"] is None else f" ({found['direction']})"
     seen = "" if found["evaluated"] == found["model"] else f", judged on the {found['evaluated']} model"
     under = "" if found["load"] is None else f", under {found['load']}"
     how = f"{found['formulation']}{direction}, {found['model']} model, solver {found['solver']}"
-    return f"{found['problem']}: {how}{seen}{under}"
+    return f"{how}{seen}{under}"
 
 
 def verdict_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
