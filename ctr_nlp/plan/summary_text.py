@@ -11,7 +11,7 @@ from typing import Any
 from ctr_nlp.plan.measures import describe_place, points_in_file
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
-from ctr_nlp.robot.tolerances import DEVIATION_NAMES, TOLERANCE_UNITS
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES, TOLERANCE_UNITS, Tolerances
 
 VERDICTS = ("", "verdict", "value", "why")
 """Columns of the table of verdicts."""
@@ -124,6 +124,12 @@ def remarks(plan: Plan, found: dict[str, Any]) -> list[str]:
     """
     snaps = [_snap(snap) for snap in found["snaps"]]
     told = [*_limits(plan, found), *snaps, *_contacts(plan, found), *_certificate(plan), *_failures(plan)]
+    if plan.drawn is not None:
+        # Who leaves the table out is judged by tolerances that were never stated.
+        whose = " (the defaults; `[tolerances]` in a robot file sets others)"
+        own = "" if plan.robot.tolerances != Tolerances() else whose
+        within = _tolerances(plan, 1.0)
+        told.append(f"simulated robots differ from the one described by up to: {within or 'nothing'}{own}")
     if "not_shared" in plan.meta:
         told.append(f"{plan.meta['not_shared']}: this is the plan for the robot as described alone")
     return told

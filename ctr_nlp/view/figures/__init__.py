@@ -23,19 +23,20 @@ __all__ = ["check_film", "film", "save", "save_all", "tracking"]
 PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}
 """Figures that every plan has, by the names of their files."""
 FIGURE_DPI = 150
+VECTOR_FORMATS = "pdf", "svg"
+"""Formats of figures for print, with lines and text instead of pixels."""
 
 
-def save_all(plan: Plan, folder: str | Path) -> list[Path]:
-    """Write shapes, errors, by_frame, configuration, and where known stability, clearance and robustness, as .png
-    files.
+def save_all(plan: Plan, folder: str | Path, suffix: str = "png") -> list[Path]:
+    """Write shapes, errors, by_frame, configuration, and where known stability, clearance and robustness.
 
-    plan: the plan to draw. folder: an existing folder. Returns the paths of the files. Raises OutputError where
-    one cannot be written.
+    plan: the plan to draw. folder: an existing folder. suffix: of the files, "png" or one of VECTOR_FORMATS.
+    Returns the paths of the files. Raises OutputError where one cannot be written.
     """
     pictures = PICTURES | ({"stability": stability} if np.isfinite(plan.stability).any() else {})
     pictures |= {} if plan.clearance is None else {"clearance": clearance}
     pictures |= {} if plan.drawn is None else {"robustness": robustness}
-    return [save(picture(plan), Path(folder) / f"{name}.png") for name, picture in pictures.items()]
+    return [save(picture(plan), Path(folder) / f"{name}.{suffix}") for name, picture in pictures.items()]
 
 
 def save(figure: Figure, path: Path) -> Path:
