@@ -200,7 +200,7 @@ def _tolerances(plan: Plan, part: float) -> str:
     told = list[str]()
     bands = part * robot.tolerances.bands(robot.tubes).max(axis=0)
     for name, band in zip(DEVIATION_NAMES, bands.tolist(), strict=True):
-        value = f"{band:.2g}{TOLERANCE_UNITS[name]}" if name in TOLERANCE_UNITS else f"{band:.2%}"
+        value = f"{band:.2g}{TOLERANCE_UNITS[name]}" if name in TOLERANCE_UNITS else f"{100 * band:.3g} %"
         told += [f"{name.replace('_', ' ')} {value}"] if band else []
     lag = part * robot.tolerances.max_backlash(robot.d).max()
     force = part * robot.tolerances.tip_force

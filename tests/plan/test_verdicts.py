@@ -154,7 +154,7 @@ def test_a_certificate_names_only_a_bound_that_says_something(least, bound):
 def test_tolerances_of_simulated_robots_are_stated(sampled):
     told = [text for text in remarks(sampled, summary(sampled)) if text.startswith("simulated robots differ")]
     assert told == [
-        "simulated robots differ from the one described by up to: curvature 2.00%, bending stiffness 2.00%, "
+        "simulated robots differ from the one described by up to: curvature 2 %, bending stiffness 2 %, "
         "motor zero 0.02 rad (the defaults; `[tolerances]` in a robot file sets others)"
     ]
     assert not [text for text in remarks(shifted(1.0), summary(shifted(1.0))) if "simulated robots" in text]
