@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 
 import ctr_nlp as ctr
+from ctr_nlp.cli.console import run_with_exit_status
 from ctr_nlp.hardware.description import Hardware, simulated_hardware
 from ctr_nlp.hardware.exports import MACHINE_TEXT_FORMATS
 from ctr_nlp.hardware.playing.session import prepare_trajectory
@@ -16,7 +17,8 @@ from ctr_nlp.problems import PROBLEM_NAMES
 def main() -> int:
     """Plan the problem that the command line names, and write its commands."""
     parser = argparse.ArgumentParser(
-        description="Write the motor commands of a motion.", epilog="Exit status: 0 where the file was written."
+        description="Write the motor commands of a motion.",
+        epilog="Exit status: 0 where the file was written, 2 where input is bad.",
     )
     parser.add_argument("problem", metavar="PROBLEM", choices=PROBLEM_NAMES, help=", ".join(PROBLEM_NAMES))
     parser.add_argument("--to", default="csv", choices=("csv", "gcode"))
@@ -39,4 +41,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(run_with_exit_status(main))

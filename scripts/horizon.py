@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 
 import ctr_nlp as ctr
+from ctr_nlp.cli.console import run_with_exit_status
 from ctr_nlp.problems import PROBLEM_NAMES
 
 
@@ -14,7 +15,7 @@ def main() -> int:
     """Plan the problem that the command line names; return 0 where every frame was solved."""
     parser = argparse.ArgumentParser(
         description="Plan a whole motion in one nonlinear program.",
-        epilog="Exit status: 0 where every frame was solved, 1 where some were not.",
+        epilog="Exit status: 0 where every frame was solved, 1 where some were not, 2 where input is bad.",
     )
     parser.add_argument("problem", metavar="PROBLEM", choices=PROBLEM_NAMES, help=", ".join(PROBLEM_NAMES))
     parser.add_argument("--model", default="elastic", choices=("elastic", "dominant"))
@@ -36,4 +37,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(run_with_exit_status(main))

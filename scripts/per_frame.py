@@ -6,6 +6,7 @@ python scripts/per_frame.py cos --formulation joint --model dominant
 import argparse
 
 import ctr_nlp as ctr
+from ctr_nlp.cli.console import run_with_exit_status
 from ctr_nlp.problems import PROBLEM_NAMES
 
 
@@ -13,7 +14,7 @@ def main() -> int:
     """Plan the problem that the command line names; return 0 where every frame was solved."""
     parser = argparse.ArgumentParser(
         description="Plan frame by frame.",
-        epilog="Exit status: 0 where every frame was solved, 1 where some were not.",
+        epilog="Exit status: 0 where every frame was solved, 1 where some were not, 2 where input is bad.",
     )
     parser.add_argument("problem", metavar="PROBLEM", choices=PROBLEM_NAMES, help=", ".join(PROBLEM_NAMES))
     parser.add_argument("--formulation", default="joint", choices=("joint", "two-stage", "two-stage-exact"))
@@ -34,4 +35,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(run_with_exit_status(main))

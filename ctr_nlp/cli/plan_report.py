@@ -45,7 +45,7 @@ def draw(plan: Plan, points: Sequence[ParetoPoint], folder: Path, found: Sequenc
     from ctr_nlp.view.figures import save, save_all
 
     with progress_bar() as labelled:
-        save_all(plan, folder, labelled("pictures are drawn"))
+        save_all(plan, folder, progress=labelled("pictures are drawn"))
         if found:
             from ctr_nlp.view.figures.compromise import compromise
 

@@ -12,6 +12,7 @@ from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.terminal_output import console, print_stderr, print_table, report_written_files
 from ctr_nlp.exceptions import OptionError, OutputError
+from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
 from ctr_nlp.hardware.journal import Journal
@@ -110,7 +111,8 @@ def report(
     if seen is not None and len(seen.frame):
         letters = [f"{axis.letter} ({axis.unit})" for axis in hardware.axes]
         try:
-            files += _written(f"Tracking: {name}, {device} device", seen, letters, out, loop)
+            described = [_describe_axis(axis) for axis in hardware.axes]
+            files += _written(f"Tracking: {name}, {device} device", seen, letters, described, out, loop)
         except OutputError as exception:
             missing.append(str(exception))
         for unit in dict.fromkeys(axis.unit for axis in hardware.axes):
@@ -138,13 +140,24 @@ def report(
     return not missing
 
 
-def _written(title: str, seen: Tracking, names: list[str], out: Path, loop: ClosedLoop | None) -> list[str]:
-    """Write tracking.csv, tracking.png and estimate.csv, and return their names; raises OutputError."""
+def _describe_axis(axis: Axis) -> str:
+    """Return an axis' letter, what it moves, and its unit, as in "X, tube 1 out (mm)"."""
+    kind, _, tube = axis.joint.partition("_")
+    return f"{axis.letter}, tube {tube} {'out' if kind == 'beta' else 'turned'} ({axis.unit})"
+
+
+def _written(
+    title: str, seen: Tracking, names: list[str], described: list[str], out: Path, loop: ClosedLoop | None
+) -> list[str]:
+    """Write tracking.csv, tracking.png and estimate.csv, and return their names; raises OutputError.
+
+    names: of the axes in the table. described: of the axes in the picture.
+    """
     from ctr_nlp.view.figures import save, tracking  # matplotlib is not needed before anything has moved
 
     with output_folder(out, "play") as staging:
         write_csv(staging / "tracking.csv", columns_to_rows(_columns(seen, names)))
-        save(tracking(title, seen.frame, seen.error, seen.late, names), staging / "tracking.png")
+        save(tracking(title, seen.frame, seen.error, seen.late, described), staging / "tracking.png")
         if loop is not None and loop.estimates:
             write_csv(staging / ESTIMATE, columns_to_rows(closed_loop.columns(loop)))
         return sorted(path.name for path in staging.iterdir() if path.suffix in (".csv", ".png"))

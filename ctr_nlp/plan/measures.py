@@ -157,6 +157,23 @@ def largest_error(plan: PlanData) -> LargestError | None:
     return LargestError(float(e2[frame]), frame + 1, overall)
 
 
+def points_in_file(plan: PlanData, points: Array) -> Array:
+    """Return points (.., 3) mm of a plan's robot frame in the coordinates of the target's file."""
+    back = np.linalg.inv(plan.to_robot)
+    return np.asarray(points @ back[:3, :3].T + back[:3, 3])
+
+
+def describe_place(plan: PlanData, point: Array) -> str:
+    """Write a point (3,), mm, and in which coordinates it is; point: in those of the plan's file, or without one
+    in the robot's base frame.
+    """
+    # Adding 0 turns -0 into 0.
+    numbers = ", ".join(f"{x:.1f}" for x in np.round(point, 1) + 0.0)
+    space = plan.meta["problem"].get("space")
+    named = {None: "", "xyz": " in the file's axes"}.get(space, f" in {space}")
+    return f"({numbers}) mm{named}"
+
+
 class DeepestPoint(NamedTuple):
     """The point of a robot that is nearest to a wall, or deepest in it, over a whole motion.
 
@@ -211,8 +228,7 @@ def _find_deepest_point(plan: PlanData, least: Array | None, between: Array | No
     frame, sample = np.unravel_index(np.nanargmin(least), least.shape)
     tube = outermost_tube_index(plan.beta[frame][None], SIGMA_GRID)[0, sample]
     arc_length = float(SIGMA_GRID[sample] * plan.beta[frame, -1])
-    back = np.linalg.inv(plan.to_robot)
-    point = plan.shape[frame, sample] @ back[:3, :3].T + back[:3, 3]
+    point = points_in_file(plan, plan.shape[frame, sample])
     return DeepestPoint(-float(least[frame, sample]), when, int(frame) + 1, int(tube) + 1, arc_length, point)
 
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ctr_nlp.plan.measures import describe_place, points_in_file
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
-from ctr_nlp.robot.tolerances import DEVIATION_NAMES, TOLERANCE_UNITS
+from ctr_nlp.robot.tolerances import DEVIATION_NAMES, TOLERANCE_UNITS, Tolerances
 
 VERDICTS = ("", "verdict", "value", "why")
 """Columns of the table of verdicts."""
@@ -30,11 +31,29 @@ def title(found: dict[str, Any]) -> str:
 
     found: the plan's summary.
     """
+    return f"{found['problem']}: {describe_method(found)}"
+
+
+def headline(plan: Plan) -> str:
+    """Return what a plan is about: its problem, where its path ends, and which robot is to go there."""
+    # In the robot's base frame where there is no file.
+    known = plan.meta["problem"].get("space") is not None
+    end = points_in_file(plan, plan.target[-1, -1]) if known else plan.target[-1, -1]
+    widths = ", ".join(f"{tube.outer_diameter:.2f}" for tube in plan.robot.tubes)
+    tubes = f"{plan.robot.d} tubes of {widths}" if plan.robot.d > 1 else f"a tube of {widths}"
+    return f"{plan.meta['problem']['name']}: to {describe_place(plan, end)}, with {tubes} mm"
+
+
+def describe_method(found: dict[str, Any]) -> str:
+    """Return how a plan was made: formulation, direction, model, solver, and the model of its evaluation.
+
+    found: the plan's summary.
+    """
     direction = "" if found["direction"] is None else f" ({found['direction']})"
     seen = "" if found["evaluated"] == found["model"] else f", judged on the {found['evaluated']} model"
     under = "" if found["load"] is None else f", under {found['load']}"
     how = f"{found['formulation']}{direction}, {found['model']} model, solver {found['solver']}"
-    return f"{found['problem']}: {how}{seen}{under}"
+    return f"{how}{seen}{under}"
 
 
 def verdict_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -105,6 +124,12 @@ def remarks(plan: Plan, found: dict[str, Any]) -> list[str]:
     """
     snaps = [_snap(snap) for snap in found["snaps"]]
     told = [*_limits(plan, found), *snaps, *_contacts(plan, found), *_certificate(plan), *_failures(plan)]
+    if plan.drawn is not None:
+        # Who leaves the table out is judged by tolerances that were never stated.
+        whose = " (the defaults; `[tolerances]` in a robot file sets others)"
+        own = "" if plan.robot.tolerances != Tolerances() else whose
+        within = _tolerances(plan, 1.0)
+        told.append(f"simulated robots differ from the one described by up to: {within or 'nothing'}{own}")
     if "not_shared" in plan.meta:
         told.append(f"{plan.meta['not_shared']}: this is the plan for the robot as described alone")
     return told
@@ -175,7 +200,7 @@ def _tolerances(plan: Plan, part: float) -> str:
     told = list[str]()
     bands = part * robot.tolerances.bands(robot.tubes).max(axis=0)
     for name, band in zip(DEVIATION_NAMES, bands.tolist(), strict=True):
-        value = f"{band:.2g}{TOLERANCE_UNITS[name]}" if name in TOLERANCE_UNITS else f"{band:.2%}"
+        value = f"{band:.2g}{TOLERANCE_UNITS[name]}" if name in TOLERANCE_UNITS else f"{100 * band:.3g} %"
         told += [f"{name.replace('_', ' ')} {value}"] if band else []
     lag = part * robot.tolerances.max_backlash(robot.d).max()
     force = part * robot.tolerances.tip_force

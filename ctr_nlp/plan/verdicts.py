@@ -18,6 +18,7 @@ from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.plan.measures import (
     DeepestPoint,
     arrival,
+    describe_place,
     describe_shortcut,
     e3,
     find_deepest_points,
@@ -415,9 +416,8 @@ def _describe_deepest_point(plan: PlanData, place: DeepestPoint, allowed: float,
     allowed: depth that is allowed, mm. name: of the wall; empty where it is the only one.
     """
     where = f"{place.when} {place.frame}, at tube {place.tube}, {place.arc_length:.0f} mm along the robot"
-    if (space := plan.meta["problem"].get("space")) is not None:
-        named = "the file's axes" if space == "xyz" else space
-        where += f", at ({', '.join(f'{x:.1f}' for x in place.point + 0.0)}) mm in {named}"
+    if plan.meta["problem"].get("space") is not None:
+        where += f", at {describe_place(plan, place.point)}"
     body = next((body for body in plan.walls if body.name == name), None)
     margin = "" if body is None or not body.margin else f" within the margin of {body.margin:g} mm"
     begin = f"{name}: the" if name else "The"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context, parent_process
 from typing import Any, TypeVar
 
 from ctr_nlp.exceptions import OptionError
@@ -56,7 +58,11 @@ def _run_in_processes(
     # Not fork: a copy of a process in which threads of BLAS hold locks may wait for them for ever.
     context = get_context("spawn")
     pressed = context.Event()
-    with _one_thread_each(), ProcessPoolExecutor(jobs, context, share_interrupt, (pressed,)) as pool:
+    with (
+        _one_thread_each(),
+        ProcessPoolExecutor(jobs, context, _begin_worker, (pressed,)) as pool,
+        _workers_end_at_termination(),
+    ):
         tasks: dict[Future[Found], int] = {pool.submit(work, thing): number for number, thing in enumerate(items)}
         waiting = set(tasks)
         try:
@@ -71,6 +77,48 @@ def _run_in_processes(
                     waiting = {task for task in waiting if not task.cancel()}
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def _begin_worker(pressed: Any) -> None:
+    """Prepare a worker process: Ctrl-C sets `pressed`, a shared event, and it ends with the process it works
+    for.
+    """
+    share_interrupt(pressed)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Wait for the end of the process that this worker works for, which may be killed, and end this one."""
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    # Nobody is left who would take a result.
+    os._exit(1)
+
+
+@contextmanager
+def _workers_end_at_termination() -> Iterator[None]:
+    """Let SIGTERM within the block end the workers first, and then this process in good order.
+
+    By default it would end this process alone and at once: workers would go on with their tasks, and Python would
+    warn of their semaphores. A handler that somebody has installed stays.
+    """
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+
+    def end(number: int, frame: Any) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a second one ends the process at once
+        for worker in active_children():
+            worker.terminate()
+        raise SystemExit(128 + number)
+
+    signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _run_on_cluster(

@@ -318,4 +318,8 @@ def test_any_number_of_branches_is_drawn(count):
     paths = [branch("b", (np.cos(a), np.sin(a), -0.5)).points for a in angle]
     figure = tree(paths, [f"$b_{k}" for k in range(count)], "a tree")
     figure.draw_without_rendering()
-    assert len(figure.axes[0].texts) == count
+    numbers = [text for text in figure.axes[0].texts if text.get_text()]
+    assert [text.get_text() for text in numbers] == [f"{k + 1}" for k in range(count)]
+    boxes = [text.get_window_extent() for text in numbers]
+    assert not [k for k, box in enumerate(boxes) if box.count_overlaps(boxes[:k])]
+    assert len(figure.legends[0].get_texts()) == count + 1

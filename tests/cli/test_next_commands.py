@@ -78,6 +78,25 @@ def test_the_page_of_a_plan_lies_beside_it(made, monkeypatch, tmp_path, capsys):
     assert [path.name for path in own.parent.iterdir()] == ["plan.npz"]
 
 
+@pytest.mark.parametrize("suffix", ["pdf", "svg"])
+def test_figures_for_print_lie_beside_the_page(made, monkeypatch, tmp_path, capsys, suffix):
+    monkeypatch.setattr(report, "page", lambda *_: "a page")
+    plan, out = made[0] / "plan.npz", tmp_path / "out"
+    assert report.main([str(plan), "--figures", suffix, "--out", str(out)]) == 0
+    drawn = {path.stem for path in out.glob(f"*.{suffix}")}
+    assert {"shapes", "errors", "by_frame", "configuration"} <= drawn
+    assert f"shapes.{suffix}" in capsys.readouterr().out
+    assert report.main([str(plan), "--out", str(out)]) == 0
+    assert not list(out.glob(f"*.{suffix}"))
+
+
+def test_figures_for_print_are_those_of_one_plan(made, tmp_path, capsys):
+    plan = str(made[0] / "plan.npz")
+    assert report.main([plan, plan, "--figures", "pdf", "--out", str(tmp_path / "out")]) == 2
+    assert "--figures goes with one plan, and 2 were given" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_new_plan_removes_the_page_of_the_old_one(made, monkeypatch):
     monkeypatch.setattr(report, "page", lambda *_: "a page")
     out = made[0]

@@ -25,7 +25,7 @@ from ctr_nlp.plan.measures import DeepestPoint
 from ctr_nlp.plan.motion_evaluation import evaluate_motion
 from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_outcomes
 from ctr_nlp.plan.simulation import Simulator
-from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS, remarks
+from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS, headline, remarks
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdicts, outcome_sentence
 from ctr_nlp.problems import named_problem
 from ctr_nlp.view.figures.parts.page import outcome
@@ -152,6 +152,27 @@ def test_a_certificate_names_only_a_bound_that_says_something(least, bound):
     found = replace(plan, meta=plan.meta | {"certificate": certificate})
     (told,) = [text for text in remarks(found, summary(found)) if text.startswith("certificate")]
     assert (bound in told) if bound else told == "certificate: 0 of 200 simulated robots hold"
+
+
+def test_tolerances_of_simulated_robots_are_stated(sampled):
+    told = [text for text in remarks(sampled, summary(sampled)) if text.startswith("simulated robots differ")]
+    assert told == [
+        "simulated robots differ from the one described by up to: curvature 2 %, bending stiffness 2 %, "
+        "motor zero 0.02 rad (the defaults; `[tolerances]` in a robot file sets others)"
+    ]
+    assert not [text for text in remarks(shifted(1.0), summary(shifted(1.0))) if "simulated robots" in text]
+
+
+def test_headline_names_goal_and_tubes():
+    plan = shifted(1.0)
+    x, y, z = plan.target[-1, -1]
+    widths = ", ".join(f"{tube.outer_diameter:.2f}" for tube in plan.robot.tubes)
+    told = f"to ({x:.1f}, {y:.1f}, {z:.1f}) mm, with {plan.robot.d} tubes of {widths} mm"
+    assert headline(plan).endswith(told)
+    moved = np.eye(4)
+    moved[:3, 3] = 1.0, 2.0, 3.0
+    scanned = replace(plan, meta=plan.meta | {"problem": {**plan.meta["problem"], "space": "RAS"}}, to_robot=moved)
+    assert f"to ({x - 1:.1f}, {y - 2:.1f}, {z - 3:.1f}) mm in RAS, with" in headline(scanned)
 
 
 def test_printed_verdicts_are_sentences():

@@ -25,6 +25,12 @@ ABOUT = "Files that ctr_nlp wrote here. It leaves alone all others, and those of
 STAGING = re.compile(r"\.ctr_nlp-[0-9a-f]{8}")
 """Names of the hidden folders in which runs write their files before publication."""
 
+VECTOR_FIGURES = tuple(
+    f"{name}.{suffix}"
+    for name in ("shapes", "errors", "by_frame", "configuration", "stability", "clearance", "robustness")
+    for suffix in ("pdf", "svg")
+)
+"""Figures of a plan for print."""
 STANDARD: Mapping[str, tuple[str, ...]] = {
     "plan": (
         *("plan.npz", "errors.csv", "summary.json", "pareto.csv", "pareto.png"),
@@ -39,7 +45,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "force": ("forces.json", "forces.csv", "forces.png"),
     "contact": ("contact.json", "contact.csv", "contact.png"),
     "play": ("tracking.csv", "tracking.png"),
-    "report": ("report.html",),
+    "report": ("report.html", *VECTOR_FIGURES),
     "slicer": ("load_in_slicer.py", "tubes.pvd", "inscribed_tube.vtp", "wall.vtp", "keep_out.vtp"),
     "import": (
         *("plan.npz", "errors.csv", "summary.json", "shapes.png", "errors.png", "by_frame.png"),

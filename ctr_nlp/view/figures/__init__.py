@@ -24,16 +24,21 @@ __all__ = ["check_film", "film", "save", "save_all", "tracking"]
 PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}
 """Figures that every plan has, by the names of their files."""
 FIGURE_DPI = 150
+VECTOR_FORMATS = "pdf", "svg"
+"""Formats of figures for print, with lines and text instead of pixels."""
 
 
 def save_all(
-    plan: Plan, folder: str | Path, progress: Callable[[int, int, str], None] | None = None
+    plan: Plan,
+    folder: str | Path,
+    suffix: str = "png",
+    progress: Callable[[int, int, str], None] | None = None,
 ) -> list[Path]:
-    """Write shapes, errors, by_frame, configuration, and where known stability, clearance and robustness, as .png
-    files.
+    """Write shapes, errors, by_frame, configuration, and where known stability, clearance and robustness.
 
-    plan: the plan to draw. folder: an existing folder. progress: called as ``progress(done, total, name)`` before
-    each picture. Returns the paths of the files. Raises OutputError where one cannot be written.
+    plan: the plan to draw. folder: an existing folder. suffix: of the files, "png" or one of VECTOR_FORMATS.
+    progress: called as ``progress(done, total, name)`` before each picture. Returns the paths of the files. Raises
+    OutputError where one cannot be written.
     """
     pictures = PICTURES | ({"stability": stability} if np.isfinite(plan.stability).any() else {})
     pictures |= {} if plan.clearance is None else {"clearance": clearance}
@@ -42,7 +47,7 @@ def save_all(
     for name, picture in pictures.items():
         if progress is not None:
             progress(len(paths), len(pictures), name)
-        paths.append(save(picture(plan), Path(folder) / f"{name}.png"))
+        paths.append(save(picture(plan), Path(folder) / f"{name}.{suffix}"))
     return paths
 
 

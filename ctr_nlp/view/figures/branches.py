@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -30,8 +31,12 @@ TREE_PANEL_GAP_IN, TREE_LEFT_MARGIN_IN, TREE_RIGHT_MARGIN_IN, TREE_TOP_MARGIN_IN
     0.6,
 )
 """Inches between and around panels."""
-TREE_LABEL_DISTANCES_PT, POINTS_PER_INCH = (8.0, 13.0, 18.0, 23.0), 72.0
-"""Distances, in points, at which a number may stand from its tip; the first is also the least between numbers."""
+TREE_LABEL_DISTANCES_PT, POINTS_PER_INCH = (8.0, 13.0, 18.0, 24.0, 32.0, 42.0), 72.0
+"""Distances, in points, at which a number may stand from its tip."""
+TREE_LABEL_TURNS_DEG = (0.0, 35.0, -35.0, 70.0, -70.0, 105.0, -105.0)
+"""Angles by which the direction from a tip to its number may be turned from that of the branch."""
+TREE_LABEL_GAP_PT = np.array([13.0, 10.0])
+"""Least distances across and up, in points, between the middles of two numbers of two digits."""
 TREE_KEY_WIDTH_IN, TREE_KEY_LINE_HEIGHT_IN = 2.6, 0.17
 """Width of the key, and height of each of its lines, inches."""
 PATIENT_LEFT_RIGHT_LETTERS, REVERSED_AXIS_LETTERS = "LR", "RAI"
@@ -83,7 +88,8 @@ def tree(
     low = every.min(axis=0)
     high = every.max(axis=0)
     side = np.maximum(high - low, MIN_TREE_PANEL_FRACTION * (high - low).max()) * TREE_PANEL_MARGIN_FACTOR
-    figure, panels = _panels(side)
+    columns = 0 if groups else _key_columns(side, len(paths))
+    figure, panels = _panels(side, columns)
     for view, axes in zip((VIEW_FROM_FRONT, VIEW_FROM_LEFT, VIEW_FROM_BELOW), panels, strict=True):
         _frame(axes, view, (low + high) / 2, side, directions)
         if groups:
@@ -94,18 +100,35 @@ def tree(
     if groups:
         _group_key(figure, panels, groups)
     else:
-        _key(figure, panels, paths, names)
+        _key(figure, panels, columns, paths, names)
     add_title(figure, *title.splitlines())
     return figure
 
 
-def _panels(side: Array) -> tuple[Figure, list[Axes]]:
+def _panel_sides(side: Array) -> Array:
+    """Return the sides (3,) in inches of what panels show of a box of sides (3,) mm, all to one scale."""
+    return side * TREE_PANELS_SIZE_IN / max(side[0] + side[1], side[2] + side[1])
+
+
+def _key_columns(side: Array, branches: int) -> int:
+    """Return in how many columns beside the panels the key of branches stands; 0 where it fits into the corner."""
+    _, deep, tall = _panel_sides(side)
+    if branches <= _key_lines(TREE_BOTTOM_MARGIN_IN + deep):
+        return 0
+    return math.ceil(branches / _key_lines(TREE_BOTTOM_MARGIN_IN + deep + TREE_PANEL_GAP_IN + tall))
+
+
+def _key_lines(height: float) -> int:
+    """Return the number of branches in a column of the key, beside a line for the start, on some inches."""
+    return max(1, int(height / TREE_KEY_LINE_HEIGHT_IN) - 2)
+
+
+def _panels(side: Array, columns: int) -> tuple[Figure, list[Axes]]:
     """Make three panels of one scale for a box of sides (3,) mm: front, to its right the side, beneath it from
-    below.
+    below; columns: of the key, to the right of them, 0 for one in the free corner.
     """
-    inches = TREE_PANELS_SIZE_IN / max(side[0] + side[1], side[2] + side[1])
-    across, deep, tall = side * inches
-    key = 0.0 if deep >= TREE_KEY_WIDTH_IN else TREE_KEY_WIDTH_IN - deep
+    across, deep, tall = _panel_sides(side)
+    key = columns * TREE_KEY_WIDTH_IN if columns else max(0.0, TREE_KEY_WIDTH_IN - deep)
     size = (
         TREE_LEFT_MARGIN_IN + across + TREE_PANEL_GAP_IN + deep + TREE_RIGHT_MARGIN_IN + key,
         TREE_BOTTOM_MARGIN_IN + deep + TREE_PANEL_GAP_IN + tall + TREE_TOP_MARGIN_IN,
@@ -167,7 +190,11 @@ def _draw_numbers(axes: Axes, view: Projection, paths: Sequence[Array], dpi: flo
         axes.plot(root[view.across], root[view.up], "o", ms=5, mfc="white", mec=BLACK, zorder=5)
     edge = [withStroke(linewidth=2, foreground="white")]
     look: dict[str, Any] = {"color": BLACK, "fontsize": 8, "path_effects": edge, "zorder": 6}
-    for number, place in enumerate(_places(axes, view, paths, dpi), start=1):
+    for number, (tip, place) in enumerate(_places(axes, view, paths, dpi), start=1):
+        if np.linalg.norm(place - tip) > 1.5 * TREE_LABEL_DISTANCES_PT[0]:
+            line = {"arrowstyle": "-", "color": "0.5", "lw": 0.5, "shrinkA": 0.0, "shrinkB": 4.0}
+            ends: dict[str, Any] = {"xycoords": "figure points", "textcoords": "figure points"}
+            axes.annotate("", tuple(place), tuple(tip), arrowprops=line, **ends)
         axes.annotate(
             str(number),
             (float(place[0]), float(place[1])),
@@ -178,20 +205,35 @@ def _draw_numbers(axes: Axes, view: Projection, paths: Sequence[Array], dpi: flo
         )
 
 
-def _places(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) -> list[Array]:
-    """Return positions (2,) of the numbers, points on the page: ahead of the tips, and apart where tips
-    are close.
+def _places(axes: Axes, view: Projection, paths: Sequence[Array], dpi: float) -> list[tuple[Array, Array]]:
+    """Return for each branch its tip (2,) and the position (2,) of its number, points on the page.
+
+    Numbers stand ahead of the tips, and further off or to the side where tips are close.
     """
-    places: list[Array] = []
+    places: list[tuple[Array, Array]] = []
     for path in paths:
         before = np.flatnonzero(np.linalg.norm(path - path[-1], axis=1) > TREE_LABEL_TIP_LENGTH_MM)
         ends = path[[before[-1] if before.size else 0, -1]][:, [view.across, view.up]]
         behind, tip = axes.transData.transform(ends) * POINTS_PER_INCH / dpi
         ahead = (tip - behind) / max(np.linalg.norm(tip - behind), 1e-9)
-        tried = [tip + distance * ahead for distance in TREE_LABEL_DISTANCES_PT]
-        gaps = [min((float(np.linalg.norm(place - other)) for other in places), default=np.inf) for place in tried]
-        places.append(tried[int(np.argmax(np.minimum(gaps, TREE_LABEL_DISTANCES_PT[0])))])
+        tried = [
+            tip + distance * _turn(ahead, degrees)
+            for distance in TREE_LABEL_DISTANCES_PT
+            for degrees in TREE_LABEL_TURNS_DEG
+        ]
+        # A gap of 1 or more keeps two numbers apart; the first position that has it is taken.
+        gaps = [
+            min((float(np.max(abs(place - other) / TREE_LABEL_GAP_PT)) for _, other in places), default=1.0)
+            for place in tried
+        ]
+        places.append((tip, tried[int(np.argmax(np.minimum(gaps, 1.0)))]))
     return places
+
+
+def _turn(direction: Array, degrees: float) -> Array:
+    """Return a direction (2,) turned anticlockwise."""
+    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([cos * direction[0] - sin * direction[1], sin * direction[0] + cos * direction[1]])
 
 
 def _group_key(figure: Figure, panels: list[Axes], groups: Sequence[BranchGroup]) -> None:
@@ -206,18 +248,19 @@ def _group_key(figure: Figure, panels: list[Axes], groups: Sequence[BranchGroup]
     figure.legend(handles=entries, loc="upper left", bbox_to_anchor=corner, borderaxespad=0)
 
 
-def _key(figure: Figure, panels: list[Axes], paths: Sequence[Array], names: Sequence[str]) -> None:
-    """Draw the key with names and lengths in the free corner."""
-    corner = panels[1].get_position().x0, panels[2].get_position().y1
-    room = int(corner[1] * figure.get_figheight() / TREE_KEY_LINE_HEIGHT_IN) - 2
+def _key(figure: Figure, panels: list[Axes], columns: int, paths: Sequence[Array], names: Sequence[str]) -> None:
+    """Draw the key with names and lengths of all branches, in columns beside the panels or, for 0 of them, in the
+    free corner.
+    """
+    front, left, below = (panel.get_position() for panel in panels)
+    corner = (left.x1 + 0.3 / figure.get_figwidth(), front.y1) if columns else (left.x0, below.y1)
     entries = []
-    for k, (path, name) in enumerate(list(zip(paths, names, strict=True))[:room]):
+    for k, (path, name) in enumerate(zip(paths, names, strict=True)):
         length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
         label = label_text(f"{k + 1}  {name[:24]}, {length:.0f} mm")
         entries.append(Line2D([], [], color=tube_colour(k), lw=2.5, label=label))
-    if len(paths) > room:
-        entries.append(Line2D([], [], ls="", label=f"and {len(paths) - room} more"))
     entries.append(Line2D([], [], ls="", marker="o", mfc="white", mec=BLACK, ms=5, label="start"))
-    legend = figure.legend(handles=entries, loc="upper left", bbox_to_anchor=corner, borderaxespad=0)
+    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": corner, "borderaxespad": 0}
+    legend = figure.legend(handles=entries, ncols=max(columns, 1), **place)
     for text in legend.get_texts():
         text.set_parse_math(False)

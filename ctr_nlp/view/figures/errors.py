@@ -106,7 +106,7 @@ def by_frame_compared(plans: Mapping[str, Mapping[str, Plan]]) -> Figure:
             curve(axes, columns["frame"], columns["max"], ls=LINES[1][0], **look | {"lw": 0.6 * look["lw"]})
         frame_axis(axes, len(plan.time))
         root_scale(axes)
-        axes.set_ylabel("distance (mm)")
+        axes.set_ylabel("distance (mm), square-root scale")
     handles = grid[0].get_legend_handles_labels()[0]
     styles = [Line2D([], [], color="0.4", ls=ls, label=name) for ls, name in LINES]
     entries = [handle for pair in zip_longest(handles, styles) for handle in pair if handle is not None]

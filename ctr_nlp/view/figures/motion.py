@@ -162,7 +162,7 @@ def tracking(
     """Draw errors of sliding axes (mm), of turning ones, and lateness (ms) over frames.
 
     title: of the figure. frame (T,): numbers, from 1. error (T, m): measured less commanded. late (T,): s. names
-    (m,): of the axes, each with its unit, "X (mm)".
+    (m,): of the axes, each with what it moves and its unit, "X, tube 1 out (mm)".
     """
     figure = Figure(figsize=(6.4, 6.2), layout="constrained")
     rows = figure.subplots(3, 1, sharex=True)

@@ -19,7 +19,7 @@ from ctr_nlp.view.figures.overlay import TARGET_LINE_STYLE
 from ctr_nlp.view.figures.parts.page import STYLE, add_heading, by_frames, curve, legend_of, root_scale
 from ctr_nlp.view.figures.parts.palette import BLACK, BLUE, ORANGE, SKY, VERMILLION
 
-CLOUD: dict[str, Any] = {"lw": 0.5, "alpha": 0.5}
+CLOUD: dict[str, Any] = {"lw": 0.6, "alpha": 0.7}
 """Style of the lines of single simulated robots."""
 
 
@@ -40,7 +40,7 @@ def robustness(plan: Plan) -> Figure:
     )
     _clouds([axes[f"cloud {k}"] for k in range(count)], plan, plan.drawn)
     _errors(axes["errors"], plan, plan.drawn)
-    names = {"simulated robot": (BLUE, "-"), "after it failed": (VERMILLION, "-"), "the plan": (BLACK, "-")}
+    names = {"simulated robot": (SKY, "-"), "after it failed": (VERMILLION, "-"), "the plan": (BLACK, "-")}
     handles = {label: Line2D([], [], color=colour, ls=ls, lw=1.2) for label, (colour, ls) in names.items()}
     handles |= {"target": Line2D([], [], **TARGET_LINE_STYLE)} | legend_of(axes["errors"])
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
@@ -57,7 +57,7 @@ def _clouds(panels: list[Axes], plan: Plan, found: Robustness) -> None:
     margin = 0.05 * (high - low).max()
     for axes, frame, shapes in zip(panels, found.cloud_frames, found.cloud, strict=True):
         gone = (found.lost > 0) & (found.lost <= frame)
-        for some, colour in ((shapes[~gone], BLUE), (shapes[gone], VERMILLION)):
+        for some, colour in ((shapes[~gone], SKY), (shapes[gone], VERMILLION)):
             axes.add_collection(LineCollection(list(_project_sideways(some, sideways)), colors=colour, **CLOUD))
         axes.plot(*_project_sideways(plan.shape[frame - 1], sideways).T, color=BLACK, lw=1.2)
         axes.plot(*_project_sideways(plan.target[frame - 1], sideways).T, **TARGET_LINE_STYLE)
@@ -82,7 +82,7 @@ def _errors(axes: Axes, plan: Plan, found: Robustness) -> None:
     axes.fill_between(frames, low, high, color=SKY, alpha=0.5, lw=0, label="5 % to 95 % of simulated robots")
     curve(axes, frames, middle, color=BLUE, lw=1.6, label="median of simulated robots")
     curve(axes, frames, rms_over_sigma(e1(plan)), color=BLACK, lw=1.2)
-    axes.set_ylabel("e2 (mm)")
+    axes.set_ylabel("e2 (mm), square-root scale")
     root_scale(axes)
     if found.losses_by_frame:
         at, counts = np.array([(loss.frame, loss.draws) for loss in found.losses_by_frame]).T

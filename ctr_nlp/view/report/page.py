@@ -175,7 +175,8 @@ def _plan_texts(plan: Plan, name: str) -> dict[str, Any]:
     """Return the texts of the page on a plan: title, verdicts, numbers, remarks, simulated robots and summary."""
     found = summary(plan)
     return {
-        "title": summary_text.title(found),
+        "title": summary_text.headline(plan),
+        "method": summary_text.describe_method(found),
         "name": name,
         "lead": summary_text.summarise_verdicts(found),
         "verdicts": summary_text.verdict_rows(found),

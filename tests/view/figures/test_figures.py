@@ -104,7 +104,7 @@ def tube_lengths(axes):
 def test_all_pictures_are_written_for_any_number_of_tubes(tmp_path, tubes):
     robot = Robot(four_tubes().tubes[:tubes])
     told = []
-    paths = save_all(solved(robot, length=30.0), tmp_path, lambda *step: told.append(step))
+    paths = save_all(solved(robot, length=30.0), tmp_path, progress=lambda *step: told.append(step))
     assert told == [(number, 4, path.stem) for number, path in enumerate(paths)]
     assert [path.name for path in paths] == ["shapes.png", "errors.png", "by_frame.png", "configuration.png"]
     for path in paths:
