@@ -503,6 +503,10 @@ def test_samples_are_judged_by_branch_arrival_and_contact(sampled, arrival, shar
     held = float((~(lost | missed | pressed)).mean())
     found = plan.verdicts.holds
     assert (found.word, found.number) == (YES if held >= share else NO, pytest.approx(held))
+    # How to plan for such robots is said where they fail on a plan that was made for one robot.
+    assert ("plans for such robots" in found.why) == (held < share)
+    certified = replace(plan, meta=plan.meta | {"certificate": {}}).verdicts.holds
+    assert "plans for such robots" not in certified.why
 
 
 def test_reasons_of_failed_samples_add_up(sampled):
