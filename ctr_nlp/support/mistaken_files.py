@@ -42,20 +42,20 @@ def name_other_kind(path: str | Path, wanted: str) -> str:
         The end of a message; empty where the file cannot be read, is of no known kind, or of the one that was
         asked for.
     """
-    found = _find_kind(Path(path))
+    found = _find_kind(path)
     if found in ("", wanted):
         return ""
     return f"it is a {found}, not a {wanted}; were two files swapped?"
 
 
-def _find_kind(path: Path) -> str:
+def _find_kind(path: str | Path) -> str:
     """Return the kind of a file, empty where it is not known."""
     try:
-        data = path.read_bytes()
+        data = Path(path).read_bytes()
         if data.startswith(ARCHIVE_START):
             return PLAN
         tables = tomllib.loads(data.decode("utf-8"))
-    except (OSError, ValueError, RecursionError):
+    except (OSError, TypeError, ValueError, RecursionError):  # also where the path is none
         return ""
     return next((kind for key, kind in TOML_KINDS.items() if isinstance(tables.get(key), list)), "")
 

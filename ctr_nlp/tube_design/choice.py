@@ -119,6 +119,8 @@ def compare_robots(
     """
     work = partial(_choice_of, problem, settings, samples if robust else None)
     found = list[RobotChoice]()
+    if progress is not None:
+        progress(0, len(robots), ", ".join(robots))
     for _, one in run_in_parallel(work, list(robots.items()), jobs):
         found.append(one)
         if progress is not None:

@@ -240,8 +240,14 @@ def test_a_range_that_the_robot_cannot_use_is_named(robot):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda axes: axes[:-1], "no axis moves alpha_3 of the robot; axes must move alpha_1, .* beta_3"),
-        (lambda axes: (*axes, axis(joint="beta_4", letter="U")), "an axis moves beta_4; axes must move alpha_1"),
+        (
+            lambda axes: axes[:-1],
+            r"no axis moves alpha_3 of the robot; `joint` of the axes must be alpha_1, .* beta_3",
+        ),
+        (
+            lambda axes: (*axes, axis(joint="beta_4", letter="U")),
+            "an axis moves beta_4, which the robot does not have; `joint` of the axes must be alpha_1",
+        ),
         (lambda axes: (), "no axis moves alpha_1 of the robot"),
     ],
 )

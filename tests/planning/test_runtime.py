@@ -411,8 +411,8 @@ def test_a_time_step_that_is_no_positive_number_is_refused(dt):
     ("q", "message"),
     [
         ([*Q0[:5], 151, 0, 0], r"beta_3 of q is 151 mm; it must lie in \[0, 150\]"),
-        ([*Q0[:3], -1, *Q0[4:]], r"beta_1 of q is -1; it must lie in"),
-        ([*Q0[:7], 3.2], r"theta_y of q is 3.2; it must lie in"),
+        ([*Q0[:3], -1, *Q0[4:]], r"beta_1 of q is -1 mm; it must lie in"),
+        ([*Q0[:7], 3.2], r"theta_y of q is 3.2 rad; it must lie in"),
         ([*Q0[:3], 40, 30, 105, 0, 0], r"beta_1 of q is 40 mm and exceeds beta_2, 30 mm"),
         ([np.nan, *Q0[1:]], r"alpha_1 of q is nan"),
         ([np.inf, *Q0[1:]], r"alpha_1 of q is inf"),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from ctr_nlp.studies.grid.case import Case
 
-MIN_BATCH_S, FIRST_BATCH_CASES, MAX_BATCH_CASES = 2.0, 1, 200
+MIN_BATCH_S, FIRST_BATCH_CASES, MAX_BATCH_CASES = 2.0, 2, 200
 """Least duration of a batch, s; number of cases in a first batch of a kind, and largest number in any."""
 MIN_BATCH_SPACING_S = 0.04
 """Least mean time between the ends of two batches, s, so that client and scheduler keep up with many workers."""
