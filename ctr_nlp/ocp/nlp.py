@@ -107,6 +107,7 @@ class Nlp:
     @cached_property
     def g_bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of g."""
+        # The empty row in front keeps the type of a program without constraints.
         lower = [constraint.lower for constraint in self.constraints]
         upper = [constraint.upper for constraint in self.constraints]
         return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
@@ -147,6 +148,7 @@ class Nlp:
 
     def parameter_slice(self, name: str) -> slice:
         """Return the positions of the parameter `name` among the entries of p."""
+        # Parameters follow each other in the order in which they were added, as in p.
         sizes = {key: symbol.numel() for key, symbol in self.parameters.items()}
         begin = sum(itertools.islice(sizes.values(), list(sizes).index(name)))
         return slice(begin, begin + sizes[name])
@@ -201,6 +203,7 @@ def kkt_residual(
     values = np.concatenate([x, g])
     multipliers = np.concatenate([lam_x, lam_g])
     lows, highs = nlp.row_bounds(lower, upper)
+    # By how much x or g is outside of its bounds, on either side.
     infeasible = np.maximum(np.maximum(lows - values, values - highs), 0.0)
     # Complementarity is |multiplier| times the distance to the bound that the multiplier's sign names.
     # Where that bound is infinite, the multiplier must be 0: then its own size counts.

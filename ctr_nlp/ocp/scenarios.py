@@ -70,6 +70,7 @@ class Scenarios:
         numbers (k, d, 8), offsets (k, d) in rad, forces (k, 3) in N: of the others, as in Scenarios. With the
         default weight 0 they only have to stay stable and near the nominal robot's branch.
         """
+        # A robot of weight 0 has no part in the mean error; only its constraints count.
         weights = np.full(len(offsets), weight)
         pairs = zip(self.arrays, (numbers, offsets, weights, forces), strict=True)
         return Scenarios(*(np.concatenate(pair) for pair in pairs))
@@ -86,6 +87,8 @@ class Scenarios:
 
     def shrink_differences(self, part: float, since: int = 0) -> Scenarios:
         """Return robots with only a `part` of these robots' differences from the first, from number `since` on."""
+        # Those before `since` are the design's, whose mean and covariance are those of the tolerances: they keep
+        # their differences.
         parts = np.where(np.arange(len(self)) < since, 1.0, part)[:, None]
         numbers = self.numbers[0] + parts[..., None] * (self.numbers - self.numbers[0])
         offsets, forces = (of[0] + parts * (of - of[0]) for of in (self.offsets, self.forces))
@@ -155,6 +158,8 @@ def assemble_robot_unknowns(q: Array, phi: Array, shared_entries: Index) -> Arra
 
     shared_entries (n - d,): positions among a robot's m unknowns of beta and theta, the last n - d entries of q.
     """
+    # Motors move the tubes of all robots alike, so that these share beta and theta. Alpha is no unknown of a
+    # robot: it follows from the tips, and is compared with q's.
     frames, count, k = phi.shape
     found = np.empty((frames, count, k + len(shared_entries)))
     found[..., np.setdiff1d(np.arange(k + len(shared_entries)), shared_entries)] = phi
@@ -232,6 +237,7 @@ class SharedMotion:
     @cached_property
     def common_rows(self) -> Index:
         """Constraints of a frame that depend on the shared q alone and so are the same for all robots."""
+        # One copy suffices: a row that no tip enters has the same value for every robot.
         return np.flatnonzero(~self.frame.g_depends[:, self.own].any(axis=1))
 
     @cached_property

@@ -43,6 +43,7 @@ def solve_rest_batch(structure: Structure, numbers: Array, q: Array) -> Array:
     """
     x = np.full(q.shape, np.nan)
     for row, at in enumerate(q):
+        # A row that is NaN was never reached, and no equilibrium is looked for.
         if np.isfinite(at).all():
             state = Equilibria(structure, numbers[row if len(numbers) > 1 else 0]).find_rest_state(at)
             x[row] = np.nan if state is None else state.x
@@ -132,6 +133,8 @@ def _follow_places(
         x[: len(known)], at = known, len(known) - 1
     while at < len(places):
         if state is None:
+            # Nothing is known of what was before. Only of the first frame an equilibrium may be given; everywhere
+            # else the robot is turned there from aligned tubes.
             first = x0 if motion.frames[at] == 0 else None
             state = (
                 equilibria.find_rest_state(places[at]) if first is None else equilibria.nearest(places[at], first)
@@ -163,6 +166,8 @@ def _branches(
     stop = at + 1 + fresh[0] if len(fresh) else len(places)
     x[at], at = state.x, at + 1
     while at < stop:
+        # Whole steps cost least, and are taken as far as Newton's method leads on. The step at which it fails is
+        # made shorter until the branch is found again, or ends in a fold: there the robot snaps.
         found, state = equilibria.walk_through_goals(state, places[at:stop])
         x[at : at + len(found)] = found
         at += len(found)
@@ -181,6 +186,7 @@ def _branches(
 
 def _snap(frame: int, jump: Array) -> Snap:
     """Return the record of a snap before a frame, from the angles (d,) by which the tips jumped."""
+    # A tube that turns by less is carried along by those that jump.
     return Snap(
         frame,
         tuple(int(i) + 1 for i in np.flatnonzero(abs(jump) > MIN_ELASTIC_SNAP_JUMP_RAD)),

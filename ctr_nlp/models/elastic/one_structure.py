@@ -59,9 +59,13 @@ def write_source(structure: Structure, card: bool) -> str:
 
     Its entry points are `rest_of_each` and `motion_of_each` of c/each.c.
     """
+    # The last vector function computes the motors of several robots at a time. A thread has a robot of its own,
+    # for which the scalar one is there.
     made = symbolic(structure)
     functions = *made.scalar_functions, *made.vector_functions[:-1]
     renamed = tuple(_rename(function, f"generated_{function.name()}") for function in functions)
+    # Transposed, as CasADi stores a matrix by columns and C reads these turns row by row: the starts of rows and
+    # the columns of their entries are constants of the text.
     pattern = made.of.turns.T.sparsity()
     arrays = {
         "first_tubes": made.of.couples[0].tolist(),

@@ -74,6 +74,7 @@ class ElasticWalker(Walker):
     def margin(self) -> float:
         """The stability margin of the equilibrium."""
         code = get_compiled_elastic(self._structure)
+        # Without a compiler the same quadrature runs in numpy, which is slower.
         if code is not None:
             return float(code.margins(self._numbers.ravel(order="F")[None], self.x[None])[0])
         tubes = tubes_of(self._structure, self._numbers.tolist())

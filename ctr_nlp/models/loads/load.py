@@ -252,6 +252,7 @@ class Load:
         LoadError
             There are densities of another number of tubes.
         """
+        # A row for each time all the same, so that callers need not know which kind of load they have.
         return np.repeat(self.numbers(d)[None], len(motion_fractions), axis=0)
 
     def _weights(self, d: int) -> Array:

@@ -66,6 +66,7 @@ class LoadOverTime:
     @property
     def conservative(self) -> bool:
         """Whether the load has an energy at every time, and so the loaded robot a stability margin."""
+        # Between two times the load is a mixture of both, which has an energy only if each of them has one.
         return all(load.conservative for load in self.loads)
 
     @property
@@ -130,6 +131,8 @@ class LoadOverTime:
             # would wander along the body while the force grows: it has the places of the other loads.
             if self.has_distributed_force and not load.has_distributed_force:
                 row[FORCE_RANGE_COLUMNS] = next(each.between for each in self.loads if each.has_distributed_force)
+        # Each number is linear in time by itself: forces grow and turn along straight lines, as the motors' motion
+        # does between frames.
         return np.stack([np.interp(motion_fractions, self.at, column) for column in known.T], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
@@ -173,6 +176,7 @@ def load_from_dict(data: Any) -> Load | LoadOverTime:
     """
     if not isinstance(data, Mapping) or LOADS_OVER_TIME_KEY not in data:
         return Load.from_dict(data)
+    # Of two descriptions of one load it would be open which is meant.
     if len(data) > 1:
         raise LoadError(
             f"a load has {LOADS_OVER_TIME_KEY} and other keys; write these into each table of "

@@ -76,6 +76,8 @@ class Manufacture:
     one_sided: bool = False
 
     def __post_init__(self) -> None:
+        # More strain than that breaks tubing of Nitinol. No wall, gap or channel is wider than the thickest tube
+        # that can be had.
         most = {
             "strain_made": MAX_PRE_CURVATURE_STRAIN,
             "strain_deployed": MAX_DEPLOYED_STRAIN,
@@ -88,6 +90,7 @@ class Manufacture:
             value = number(
                 OptionError, f"{name} of manufacture", given, partial(_is_positive_up_to, high), allowed
             )
+            # The class is frozen; what was given as an integer or as text is kept as a number.
             object.__setattr__(self, name, value)
         check_instance(OptionError, "one_sided of manufacture", self.one_sided, bool)
 

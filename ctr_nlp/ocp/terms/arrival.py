@@ -120,6 +120,8 @@ class ArrivalTerm(TipOnlyTerm):
         dict
             Values by the names of `parameters`.
         """
+        # The tip comes near bit by bit: in the frames before the last one it may be further away, by a distance
+        # that falls evenly to zero.
         funnel = ARRIVAL_FUNNEL_MM * (1 - part) / ARRIVAL_MOTION_FRACTION
         return {
             "arrival_end": end,
