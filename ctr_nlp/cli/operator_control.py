@@ -6,20 +6,13 @@ motion, so that a stop is never cut short.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
-
-try:
-    import termios
-    import tty
-except ImportError:  # systems without POSIX terminals, where lines are obeyed
-    termios = tty = None  # type: ignore[assignment]
 
 from ctr_nlp.cli.terminal_output import print_stderr
 from ctr_nlp.hardware.playing.player import Player
@@ -27,9 +20,6 @@ from ctr_nlp.hardware.playing.player import Player
 OPERATOR_COMMANDS = {"p": "pause", "r": "resume", "a": "abort"}
 OPERATOR_KEYS = "keys: p pauses, r resumes, a aborts; so does Ctrl-C"
 """What an operator at a terminal is told before anything moves."""
-
-NO_TERMINAL_ERRORS = (OSError, ValueError, AttributeError, *([termios.error] if termios else []))
-"""What asking a terminal raises where standard input is none, or is closed."""
 
 STOP_SIGNAL_NAMES = ("SIGTERM", "SIGHUP", "SIGQUIT")
 """Names of the signals that stop the motors, beside that of Ctrl-C; SIGQUIT is Ctrl-\\."""
@@ -111,21 +101,29 @@ def stop_on_signals(stop: Callable[[], None], interrupted: Callable[[], bool]) -
 def _pass_keys_at_once() -> Iterator[bool]:
     """Let the terminal pass on every key without Enter within the block; yields False where there is none."""
     try:
+        import termios
+        import tty
+    except ImportError:  # a system without POSIX terminals
+        yield False
+        return
+    # What asking a terminal raises where standard input is none, or is closed.
+    no_terminal = OSError, ValueError, AttributeError, termios.error
+    try:
         descriptor = sys.stdin.fileno()
         # A program in the background must leave the terminal to the one in front.
-        if termios is None or os.tcgetpgrp(descriptor) != os.getpgrp():
+        if os.tcgetpgrp(descriptor) != os.getpgrp():
             raise OSError
         before = termios.tcgetattr(descriptor)
         # Unlike a raw terminal, this one still turns Ctrl-C into a signal.
         tty.setcbreak(descriptor)
-    except NO_TERMINAL_ERRORS:
+    except no_terminal:
         yield False
         return
     try:
         print_stderr(OPERATOR_KEYS)
         yield True
     finally:
-        with contextlib.suppress(*NO_TERMINAL_ERRORS):  # a terminal that was closed has nothing to restore
+        with suppress(*no_terminal):  # a terminal that was closed has nothing to restore
             termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
 
