@@ -22,6 +22,8 @@ ROBOT_HELP = (
     "robot, and within an anatomy's wall that of the package which fits the path best)"
 )
 """Help of the option for the robot."""
+CHOICE_JOBS = 2
+"""Processes by which robots are compared, unless another number is given."""
 FRAME_SETTINGS = ("motion_weight", "jump_width", "seed")
 """Names of add_settings' options that settings_from takes where frames are solved one by one."""
 

@@ -88,6 +88,11 @@ class Trials:
         return min(self._least_samples(SEARCH_CONFIDENCE), MAX_SEARCH_SAMPLES)
 
     @property
+    def search_failures(self) -> int:
+        """Number of these that may be lost."""
+        return self.allowed_failures(self.search_samples, SEARCH_CONFIDENCE)
+
+    @property
     def certificate_samples(self) -> int:
         """Number of samples for the certificate: enough to show, where none is lost, that few robots are."""
         return self._least_samples(CONFIDENCE)
@@ -106,9 +111,7 @@ class Trials:
         """
         if draft:
             return self._test(q, number, DRAFT_TRIAL_SAMPLES, 0)
-        return self._test(
-            q, number, self.search_samples, self.allowed_failures(self.search_samples, SEARCH_CONFIDENCE)
-        )
+        return self._test(q, number, self.search_samples, self.search_failures)
 
     def _least_samples(self, confidence: float) -> int:
         """Return the number of samples, at least MIN_TRIAL_SAMPLES, that suffices where none of them is lost."""
@@ -144,7 +147,7 @@ class Trials:
         number: of the motion, whose samples are taken again and scaled.
         """
         draws = sample_robots(self.robot, self.search_samples, TRIAL_FIRST_SAMPLE_SEED + number)
-        allowed = self.allowed_failures(self.search_samples, SEARCH_CONFIDENCE)
+        allowed = self.search_failures
         low, high = 0.0, 1.0
         # The same samples at every scale, so that the number lost is nearly monotonic in the part.
         for _ in range(TOLERANCE_PART_BISECTIONS):

@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import plan_options, problems
-from ctr_nlp.cli.arguments import DEFAULT_SETTINGS, FRAME_SETTINGS, film_file, read_start, settings_from
+from ctr_nlp.cli.arguments import (
+    CHOICE_JOBS,
+    DEFAULT_SETTINGS,
+    FRAME_SETTINGS,
+    film_file,
+    read_start,
+    settings_from,
+)
 from ctr_nlp.cli.console import EXIT_INTERRUPTED, Command
 from ctr_nlp.cli.loads.options import (
     add_load_options,
@@ -65,8 +72,6 @@ if TYPE_CHECKING:
     from ctr_nlp.studies.pareto_front import ParetoPoint
 
 
-CHOICE_JOBS = 2
-"""Processes by which the robots of the package are compared, as many as `ctr-nlp choose` has by default."""
 OPTIONS_EXCLUDED_BY_ROBUST = (
     *("initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "solver"),
     "contact_force",

@@ -25,17 +25,13 @@ ABOUT = "Files that ctr_nlp wrote here. It leaves alone all others, and those of
 STAGING = re.compile(r"\.ctr_nlp-[0-9a-f]{8}")
 """Names of the hidden folders in which runs write their files before publication."""
 
-VECTOR_FIGURES = tuple(
-    f"{name}.{suffix}"
-    for name in ("shapes", "errors", "by_frame", "configuration", "stability", "clearance", "robustness")
-    for suffix in ("pdf", "svg")
-)
-"""Figures of a plan for print."""
+PLAN_FIGURES = "shapes", "errors", "by_frame", "configuration", "stability", "clearance", "robustness"
+"""Names of the files of a plan's figures, without their suffix."""
 STANDARD: Mapping[str, tuple[str, ...]] = {
     "plan": (
         *("plan.npz", "errors.csv", "summary.json", "pareto.csv", "pareto.png"),
-        *("shapes.png", "errors.png", "by_frame.png", "configuration.png", "stability.png", "clearance.png"),
-        *("robustness.png", "trade_off.csv", "trade_off.png"),
+        *(f"{name}.png" for name in PLAN_FIGURES),
+        *("trade_off.csv", "trade_off.png"),
     ),
     "robust": ("plan.npz", "errors.csv", "summary.json", "robustness.png"),
     "under": (
@@ -45,7 +41,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "force": ("forces.json", "forces.csv", "forces.png"),
     "contact": ("contact.json", "contact.csv", "contact.png"),
     "play": ("tracking.csv", "tracking.png"),
-    "report": ("report.html", *VECTOR_FIGURES),
+    "report": ("report.html", *(f"{name}.{suffix}" for name in PLAN_FIGURES for suffix in ("pdf", "svg"))),
     "slicer": ("load_in_slicer.py", "tubes.pvd", "inscribed_tube.vtp", "wall.vtp", "keep_out.vtp"),
     "import": (
         *("plan.npz", "errors.csv", "summary.json", "shapes.png", "errors.png", "by_frame.png"),

@@ -8,6 +8,7 @@ from typing import Any
 
 from ctr_nlp.cli import plan_options, problems
 from ctr_nlp.cli.arguments import (
+    CHOICE_JOBS,
     DEFAULT_SETTINGS,
     add_compile_option,
     add_duration_option,
@@ -51,7 +52,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--robots", metavar="FOLDER", help=what)
     what = "plan for the robots' tolerances, too, and simulate 200 robots of each: about a minute a robot"
     parser.add_argument("--robust", action="store_true", help=what)
-    parser.add_argument("--jobs", metavar="N", type=whole, default=2, help="processes side by side (default 2)")
+    what = f"processes side by side (default {CHOICE_JOBS})"
+    parser.add_argument("--jobs", metavar="N", type=whole, default=CHOICE_JOBS, help=what)
     parser.set_defaults(robot=None, stability_margin=DEFAULT_SETTINGS.stability_margin)
     add_frames_option(parser)
     add_duration_option(parser)

@@ -290,8 +290,15 @@ def parts(shape: Array, beta: Array) -> list[Array]:
     for start, end in zip([0.0, *ends], ends, strict=False):
         sigma = np.concatenate([[start], SIGMA_GRID[(start < SIGMA_GRID) & (end > SIGMA_GRID)], [end]])
         sigma = sigma if end > start and np.isfinite(shape).all() else sigma[:0]
-        found.append(np.stack([np.interp(sigma, SIGMA_GRID, coordinate) for coordinate in shape.T], axis=1))
+        found.append(points_at(shape, sigma))
     return found
+
+
+def points_at(shape: Array, sigma: Array) -> Array:
+    """Return points (n, 3), mm, of a shape (101, 3) at parts sigma (n,) of its length, on straight lines between
+    its samples.
+    """
+    return np.stack([np.interp(sigma, SIGMA_GRID, coordinate) for coordinate in shape.T], axis=1)
 
 
 def tube_ends(beta: Array) -> Array:

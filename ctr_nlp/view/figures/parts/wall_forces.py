@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
+from ctr_nlp.view.figures.overlay import points_at
 from ctr_nlp.view.figures.parts.palette import CONTACT
 
 LONGEST_FORCE_LINE_MM = 15.0
@@ -26,12 +26,7 @@ def wall_force_lines(plan: Plan) -> Array:
     assert plan.wall_force_direction is not None
     # Where on the body, as parts of its length, which is that of the innermost tube.
     sigma = plan.wall_force_along / plan.beta[:, -1:]
-    ends = np.stack(
-        [
-            [np.interp(at, SIGMA_GRID, shape[:, axis]) for axis in range(3)]
-            for at, shape in zip(sigma, plan.shape, strict=True)
-        ]
-    ).swapaxes(1, 2)
+    ends = np.stack([points_at(shape, at) for shape, at in zip(plan.shape, sigma, strict=True)])
     largest = np.nanmax(plan.wall_force, initial=0.0)
     length = LONGEST_FORCE_LINE_MM * plan.wall_force / max(largest, np.finfo(float).tiny)
     return np.stack([ends - length[..., None] * plan.wall_force_direction, ends], axis=2)
