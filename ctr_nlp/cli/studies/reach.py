@@ -14,6 +14,7 @@ from ctr_nlp.cli.console import EXIT_INTERRUPTED, EXIT_SOLVED, EXIT_SOME_FAILED,
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, output_folder
 from ctr_nlp.cli.plan_options import add_piece_arguments, add_reading_options, pieces_from, read_options_from
+from ctr_nlp.cli.problems import file_option_words
 from ctr_nlp.cli.studies.workers import add_worker_options, open_client
 from ctr_nlp.cli.terminal_output import (
     announce,
@@ -153,13 +154,12 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _plan_words(arguments: argparse.Namespace, found: Reach, missed: EndOutcome) -> list[object]:
     """Return the words of a command that plans to an end as `ctr-nlp reach` did."""
-    words: list[object] = ["plan", arguments.file, *pieces_from(arguments)]
-    words += ["--target", *(f"{x:.1f}" for x in (missed.x, missed.y, missed.z))]
+    asked = vars(arguments) | {"target": [f"{x:.1f}" for x in (missed.x, missed.y, missed.z)]}
     if arguments.entry is not None or arguments.from_carina:
-        words += ["--entry", *(f"{x:.1f}" for x in found.tree.entry)]
+        asked["entry"] = [f"{x:.1f}" for x in found.tree.entry]
+    words: list[object] = ["plan", arguments.file, *file_option_words(argparse.Namespace(**asked))]
     if arguments.robot is not None:
         words += ["--robot", next(file for file in arguments.robot if Path(file).stem == missed.robot)]
-    words += ["--trim", arguments.trim] if arguments.trim else []
     return [*words, "--nominal"] if arguments.nominal else words
 
 
