@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import signal
 import sys
 from typing import TYPE_CHECKING, NamedTuple
@@ -58,6 +59,8 @@ def main(argv: list[str] | None = None) -> int:
     """Run the subcommand that `argv` names, and return its exit status."""
     if argv is None:
         _hold_interrupts()
+        # Matrices are small: on a busy machine, one of 150 rows takes hundreds of times as long with two threads.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     given = sys.argv[1:] if argv is None else argv
     if given and given[0] in COMMANDS:
         return load(COMMANDS[given[0]])(given[1:])

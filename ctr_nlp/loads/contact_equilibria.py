@@ -65,6 +65,8 @@ TIP_PROBE_RAD, PUSH_PROBE_N_PER_MM, EXTENSION_PROBE_MM = 1e-6, 1e-5, 1e-5
 """Changes of tip, forces and extensions for forward differences."""
 EMPTY_PIECE_MM = 1e-9
 """Length below which a piece counts as empty, mm."""
+MAX_KEPT_JACOBIAN_STEP_RATIO = 0.1
+"""Ratio of the lengths of two Newton steps up to which the next one is made with the same Jacobian."""
 SETTLED_PUSH_N_PER_MM = 1e-9
 """Largest last Newton step of the pushes at given coordinates, N/mm."""
 MARGIN_PROBE = 1e-6
@@ -338,7 +340,8 @@ class ContactEquilibria:
         """Return shapes at sigma (n,) and forces of equilibria near each other, with their derivatives by y."""
         d = self.robot.d
         count = len(states)
-        systems = self._systems(states, self._contacts(self._rods(states)), 1.0)
+        # Where the wall does not press, forces stay 0 to first order: they need no rods of their own.
+        systems = self._systems(states, self._contacts(self._rods(states)), 1.0, self.wall.toe / 2)
         rows = len(systems.rods.beta) // count
         by_q = self._residual_by_q(states, systems)
         unknowns_by, q_by = self._solve_for(systems, by_q, _known_columns(systems, by_q, d))
@@ -447,17 +450,29 @@ class ContactEquilibria:
         return moved._replace(q=state.q + slopes.q_by @ step)
 
     def settle(self, state: ContactState) -> ContactState | None:
-        """Return the equilibrium with the y of a state that is near one; None where there is none."""
+        """Return the equilibrium with the y of a state that is near one; None where there is none.
+
+        Newton's method; a Jacobian, which takes a rod for each unknown, is kept while steps become much shorter
+        with it.
+        """
         d = self.robot.d
+        by_q: Array | None = None
+        before = np.inf
         for _ in range(MAX_CONTACT_NEWTON_STEPS):
-            systems = self._systems([state], self._contacts(self._rods([state])), 1.0)
-            if not (np.isfinite(systems.residual).all() and np.isfinite(systems.jacobian).all()):
+            rods = self._rods([state])
+            contact = self._contacts(rods)
+            if by_q is None:
+                systems = self._systems([state], contact, 1.0)
+                by_q = self._residual_by_q([state], systems)
+                residual = systems.residual
+                if not np.isfinite(systems.jacobian).all():
+                    return None
+            else:
+                residual = self._residual(state, rods, contact, systems.near, 1.0)[None]
+            if not np.isfinite(residual).all():
                 return None
-            by_q = self._residual_by_q([state], systems)
             try:
-                unknowns, q = (
-                    each[0, :, 0] for each in self._solve_for(systems, by_q, systems.residual[..., None])
-                )
+                unknowns, q = (each[0, :, 0] for each in self._solve_for(systems, by_q, residual[..., None]))
             except np.linalg.LinAlgError:
                 return None
             if not max(abs(unknowns[: d + 2]).max(), abs(q).max()) <= MAX_LOADED_NEWTON_TURN_RAD:
@@ -466,6 +481,10 @@ class ContactEquilibria:
             settled = abs(unknowns[d + 2 :]).max(initial=0.0) < SETTLED_PUSH_N_PER_MM
             if settled and abs(unknowns[: d + 2]).max() < CONTACT_TIP_TOLERANCE_RAD:
                 return state
+            size = self._size(unknowns, systems)
+            if size > MAX_KEPT_JACOBIAN_STEP_RATIO * before:
+                by_q = None
+            before = size
         return None
 
     def _solve(self, start: ContactState, share: float = 1.0, turned: Array | None = None) -> ContactState | None:
@@ -511,15 +530,18 @@ class ContactEquilibria:
                 return state._replace(sign=sign) if same_branch else None
         return None
 
-    def _systems(self, states: Sequence[ContactState], contact: WallPush, share: float) -> _Systems:
+    def _systems(
+        self, states: Sequence[ContactState], contact: WallPush, share: float, near_mm: float = NEAR_WALL_MM
+    ) -> _Systems:
         """Return the equations near states, of which the same pieces are near the wall.
 
-        contact: what the wall does to each (N, K, ..); share: part of its stiffness.
+        contact: what the wall does to each (N, K, ..); share: part of its stiffness. near_mm: distance from the
+        wall up to which the forces on a piece are unknowns.
         """
         d = self.robot.d
         pushes = np.stack([state.pushes for state in states])
         pushed = abs(pushes).max(axis=(2, 3)) > 0
-        near = np.flatnonzero((pushed | (contact.beyond > -NEAR_WALL_MM).any(axis=2)).any(axis=0))
+        near = np.flatnonzero((pushed | (contact.beyond > -near_mm).any(axis=2)).any(axis=0))
         count = d + 2 + 6 * len(near)
         which = np.arange(6 * len(near))
         # Rows for each state: the state itself, one for each unknown and one for each extension, changed by its

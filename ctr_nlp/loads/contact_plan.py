@@ -201,10 +201,13 @@ def solve_on_wall(
 
     Examples
     --------
+    The tubes of the named problems have no moduli in MPa; those of nitinol have about 60,000:
+
+    >>> from dataclasses import replace
     >>> import ctr_nlp as ctr
-    >>> from ctr_nlp.problems import named_problem
-    >>> problem = named_problem("bronchus", frames=20)
-    >>> robot = problem.robot.with_modulus(60_000)  # doctest: +SKIP
+    >>> from ctr_nlp.models.loads import with_modulus
+    >>> problem = ctr.named_problem("bronchus", frames=20)
+    >>> problem = replace(problem, robot=with_modulus(problem.robot, 60_000))
     >>> plan = ctr.solve_on_wall(problem, limit=0.2)  # doctest: +SKIP
     """
     check_contact_request(problem, limit, stiffness)

@@ -88,19 +88,18 @@ class DistanceGrid(Value):
             blocks[:, None, None, None], at[0][:, :, None, None], at[1][:, None, :, None], at[2][:, None, None, :]
         ].astype(float)
 
-        def contract(orders: tuple[int, int, int]) -> Array:
-            """Return the derivative of these orders along the three axes."""
-            x, y, z = (basis[:, order, axis] for axis, order in enumerate(orders))
-            return np.asarray(np.einsum("nijk,ni,nj,nk->n", local, x, y, z, optimize=True))
-
-        distance = contract((0, 0, 0))
-        slope = np.stack([contract((1, 0, 0)), contract((0, 1, 0)), contract((0, 0, 1))], axis=1)
+        # One axis is summed after the other, so that (n, 3, 3, 3) has the derivatives of orders 0 to 2 along each.
+        along_z = local.reshape(-1, STENCIL_NODES**2, STENCIL_NODES) @ np.swapaxes(basis[:, :, 2], 1, 2)
+        along_yz = basis[:, None, :, 1] @ along_z.reshape(-1, STENCIL_NODES, STENCIL_NODES, 3)
+        found = (basis[:, :, 0] @ along_yz.reshape(-1, STENCIL_NODES, 9)).reshape(-1, 3, 3, 3)
+        distance = found[:, 0, 0, 0]
+        slope = np.stack([found[:, 1, 0, 0], found[:, 0, 1, 0], found[:, 0, 0, 1]], axis=1)
         bend = np.empty((len(places), 3, 3))
         for row, column, orders in (
             *((0, 0, (2, 0, 0)), (1, 1, (0, 2, 0)), (2, 2, (0, 0, 2))),
             *((0, 1, (1, 1, 0)), (0, 2, (1, 0, 1)), (1, 2, (0, 1, 1))),
         ):
-            bend[:, row, column] = bend[:, column, row] = contract(orders)
+            bend[:, row, column] = bend[:, column, row] = found[(..., *orders)]
         # Derivatives by units of the grid become derivatives by mm.
         scale = self.to_grid[:3, :3]
         return distance, slope @ scale, scale.T @ bend @ scale

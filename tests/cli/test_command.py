@@ -1,6 +1,7 @@
 """The command `ctr-nlp`: its subcommands, what they load, and files of the user's own."""
 
 import json
+import os
 import subprocess
 import sys
 import types
@@ -21,6 +22,7 @@ from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.problems import named_problem
 from ctr_nlp.studies.grid.study_file import Study
+from ctr_nlp.support.pool import BLAS_THREAD_VARIABLES
 
 HEAVY = {"casadi", "numpy", "scipy", "matplotlib", "rich", "argparse"}
 
@@ -49,6 +51,16 @@ def test_importing_the_library_takes_little_of_the_processor():
     told = "import time; begin = time.process_time(); import ctr_nlp; print(time.process_time() - begin)"
     done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
     assert float(done.stdout) < 0.3
+
+
+@pytest.mark.parametrize(("given", "expected"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
+def test_linear_algebra_of_a_command_has_one_thread_unless_the_user_says_otherwise(given, expected):
+    code = "import os, sys\nfrom ctr_nlp.cli.main import main\nsys.argv = ['ctr-nlp', '--version']\n"
+    code += "try:\n    main()\nexcept SystemExit:\n    print(os.environ['OPENBLAS_NUM_THREADS'])"
+    environment = {name: value for name, value in os.environ.items() if name not in BLAS_THREAD_VARIABLES}
+    told = [sys.executable, "-c", code]
+    done = subprocess.run(told, capture_output=True, text=True, check=True, env=environment | given)
+    assert done.stdout.split()[-1] == expected
 
 
 def test_a_plan_without_pictures_loads_nothing_that_draws(tmp_path):
