@@ -15,6 +15,19 @@ def compressed(depth):
     return TOE_DEPTH_MM * (part**3 - part**4 / 2) + np.maximum(depth - TOE_DEPTH_MM / 2, 0)
 
 
+class Plane:
+    """The half space of points whose part along a normal is below an offset, mm."""
+
+    def __init__(self, normal, offset, stiffness):
+        self.normal = (np.asarray(normal, dtype=float) / np.linalg.norm(normal))[:, None]
+        self.offset, self.stiffness = offset, stiffness
+
+    def push(self, points, tube_radius):
+        """Force per length (3, n), N/mm, on a robot's axis at points (3, n), mm."""
+        over = (self.normal * points).sum(axis=0) + tube_radius - self.offset
+        return -self.stiffness * compressed(over) * self.normal
+
+
 class Cylinder:
     """A straight lumen of a radius, mm, around the line through a point along a direction."""
 
@@ -52,14 +65,14 @@ class Bend(Cylinder):
         return self._push(points - circle, tube_radius)
 
 
-def solve_contact(robot: Robot, q, wall, start, twisted, tolerance=1e-6):
-    """Solve for a robot on a wall, from a shape to start from.
+def solve_contact(robot: Robot, q, wall, start, tip, tolerance=1e-6):
+    """Solve for a robot on a wall, from a shape and the angles of its tubes at the tip to start from.
 
-    start: returns points and tangents (n, 3) at arc lengths (n,), mm. twisted: whether tubes are twisted to start
-    with, as the moment about the tangent would twist them: robots on a wall may have several equilibria. Returns a
-    function from arc lengths to points, and the sum of the wall's forces' sizes, N. Tubes have one curvature each
-    and are extended by no straight part. The unknowns of every section between ends of tubes are, side by side, p,
-    d_1, t, m, n, psi and psi'.
+    start: returns points and tangents (n, 3) at arc lengths (n,), mm. tip: angles (d,) of the tubes, each at its
+    own tip, rad, and the frame (3, 3) at the robot's tip that they are relative to. A robot on a wall may have
+    several equilibria: angles decide which of them is found. Returns a function from arc lengths to points, and
+    the sum of the wall's forces' sizes, N. Tubes have one curvature each and are extended by no straight part. The
+    unknowns of every section between ends of tubes are, side by side, p, d_1, t, m, n, psi and psi'.
     """
     d = robot.d
     alpha, beta, theta = q[:d], q[d : 2 * d], q[2 * d :]
@@ -69,9 +82,22 @@ def solve_contact(robot: Robot, q, wall, start, twisted, tolerance=1e-6):
     twisting = np.array([tube.bending_stiffness / (1 + tube.poisson_ratio) for tube in robot.tubes])
     curvature = np.array([tube.tip_curvature for tube in robot.tubes])
     radii = [tube.outer_diameter / 2 for tube in robot.tubes]
+    free = np.array([tube.length for tube in robot.tubes]) - beta
     size = 15 + 2 * d
     cx, sx, cy, sy = np.cos(theta[0]), np.sin(theta[0]), np.cos(theta[1]), np.sin(theta[1])
     base = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+
+    def bend(k, d1, t, m, psi):
+        """Bending (2, n) of section k in d_1 and d_2, 1/mm, and second derivatives (d, n) of the tubes' angles."""
+        present = slice(k, d)
+        pull = bending[present, None] * curvature[present, None]
+        cos, sin = np.cos(psi[present]), np.sin(psi[present])
+        d2 = np.cross(t, d1, axis=0)
+        u1 = ((m * d2).sum(axis=0) + (pull * cos).sum(axis=0)) / bending[present].sum()
+        u2 = (-(m * d1).sum(axis=0) + (pull * sin).sum(axis=0)) / bending[present].sum()
+        turning = np.zeros_like(psi)
+        turning[present] = pull / twisting[present, None] * (u1 * sin - u2 * cos)
+        return u1, u2, turning
 
     def slopes(x, y):
         found = np.zeros_like(y)
@@ -79,26 +105,17 @@ def solve_contact(robot: Robot, q, wall, start, twisted, tolerance=1e-6):
             here = y[k * size : (k + 1) * size]
             p, d1, t, m, n = (here[3 * j : 3 * j + 3] for j in range(5))
             psi, rate = here[15 : 15 + d], here[15 + d :]
-            d2 = np.cross(t, d1, axis=0)
-            present = slice(k, d)
-            pull = bending[present, None] * curvature[present, None]
-            cos, sin = np.cos(psi[present]), np.sin(psi[present])
-            stiff = bending[present].sum()
-            u1 = ((m * d2).sum(axis=0) + (pull * cos).sum(axis=0)) / stiff
-            u2 = (-(m * d1).sum(axis=0) + (pull * sin).sum(axis=0)) / stiff
-            turning = np.zeros_like(psi)
-            turning[present] = pull / twisting[present, None] * (u1 * sin - u2 * cos)
+            u1, u2, turning = bend(k, d1, t, m, psi)
             moving = rate.copy()
             moving[:k] = 0.0
-            pushed = wall.push(p, radii[k])
-            parts = [t, -u1 * t, u1 * d1 + u2 * d2, -np.cross(t, n, axis=0), -pushed, moving, turning]
-            found[k * size : (k + 1) * size] = lengths[k] * np.vstack(parts)
+            d2 = np.cross(t, d1, axis=0)
+            parts = [t, -u1 * t, u1 * d1 + u2 * d2, -np.cross(t, n, axis=0), -wall.push(p, radii[k])]
+            found[k * size : (k + 1) * size] = lengths[k] * np.vstack([*parts, moving, turning])
         return found
 
     def ends(a, b):
         first = a[:size]
         found = [first[:3], first[3:6] - base[:, 0], first[6:9] - base[:, 2]]
-        free = [tube.length - out for tube, out in zip(robot.tubes, beta, strict=True)]
         found.append(first[15 : 15 + d] - alpha - first[15 + d :] * free)
         for k in range(d):
             last = b[k * size : (k + 1) * size]
@@ -124,26 +141,33 @@ def solve_contact(robot: Robot, q, wall, start, twisted, tolerance=1e-6):
 
     forces = beyond(pushes)
     moments = beyond(np.cross(shape, pushes)) - np.cross(shape, forces)
-    # A frame that does not spin, carried along the shape, and twist that bears the moment about the tangent.
+    # A frame that does not spin, carried along the shape, and the tubes' angles in it, from their tips to the
+    # base.
     tangents = start(along)[1]
     frames = [base[:, 0]]
     for t in tangents[1:]:
         carried = frames[-1] - t * (t @ frames[-1])
         frames.append(carried / np.linalg.norm(carried))
-    stiff = np.array([twisting[k:].sum() for k in which])
-    rates = twisted * (moments * tangents).sum(axis=1) / stiff
-    turned = np.concatenate([[0.0], np.cumsum((rates[1:] + rates[:-1]) / 2 * np.diff(along))])
-    given = np.hstack([shape, np.array(frames), tangents, moments, forces])
+    angles, axes = tip
+    spun = np.arctan2(axes[0] @ np.cross(tangents[-1], frames[-1]), axes[0] @ frames[-1])
+    turned, rates = np.zeros((2, len(along), d))
+    turned[-1] = angles + spun
+    for j in range(len(along) - 1, 0, -1):
+        k = which[j]
+        step = along[j] - along[j - 1]
+        columns = (each[:, None] for each in (frames[j], tangents[j], moments[j], turned[j]))
+        rates[j - 1] = rates[j] - step * bend(k, *columns)[2][:, 0]
+        turned[j - 1] = turned[j] - step * rates[j - 1]
+    # Whole turns of all tubes together are free.
+    turned += 2 * np.pi * np.round((alpha[-1] - turned[0, -1] + rates[0, -1] * free[-1]) / (2 * np.pi))
+    given = np.hstack([shape, np.array(frames), tangents, moments, forces, turned, rates])
     x = np.linspace(0, 1, 41)
     y = np.zeros((d * size, len(x)))
     for k in range(d):
         at = edges[k] + lengths[k] * x
         here = y[k * size : (k + 1) * size]
-        for j in range(15):
+        for j in range(size):
             here[j] = np.interp(at, along, given[:, j])
-        for i in range(d):
-            here[15 + i] = alpha[i] + rates[0] * (robot.tubes[i].length - beta[i]) + np.interp(at, along, turned)
-            here[15 + d + i] = np.interp(at, along, rates) * (i >= k)
     solved = solve_bvp(slopes, ends, x, y, tol=tolerance, max_nodes=20_000)
     assert solved.success, solved.message
     fine = np.linspace(0, 1, 4001)

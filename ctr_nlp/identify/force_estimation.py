@@ -224,7 +224,7 @@ class _RobotInDoubt:
         curved = DEVIATION_NAMES.index("curved_length")
         extreme[..., curved] = -3 * np.sqrt((root**2).sum(axis=1).reshape(robot.d, -1)[:, curved])
         self.structure = perturb_robot(robot, extreme, np.zeros((1, robot.d))).structure
-        self.kind = kind_with_pieces(Load())
+        self.kind = kind_with_pieces(Load(), robot.d)
         self.equilibria = LoadedEquilibria(self.structure, self.kind)
 
 

@@ -44,13 +44,33 @@ from ctr_nlp.paths.lumen import outermost_tube_radii
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array, Index
 
-_LOBATTO = np.sqrt(3 / 7)
-CONTACT_PIECE_SAMPLE_PARTS = np.array([0.0, (1 - _LOBATTO) / 2, 0.5, (1 + _LOBATTO) / 2, 1.0])
-"""Sample points of a piece, as parts of its length: those of Lobatto's rule, which contain both ends."""
-CONTACT_PIECE_WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180
-"""Weights of the rule."""
-PIECE_PROJECTION = CONTACT_PIECE_WEIGHTS * np.stack([np.ones(5), 3 * (2 * CONTACT_PIECE_SAMPLE_PARTS - 1)])
-"""Projection (2, 5) of samples of a push to its mean and its growth along a piece (rod_loads.PieceForce)."""
+QUADRATURE_PANELS = 6
+"""Number of equal parts of a piece on which the wall's push is integrated separately. Where
+a piece begins to touch, the push has a corner, which a rule over the whole piece misses: by up to 0.06 mm of the
+tip's place."""
+_LOBATTO_PARTS = np.array([0.0, (1 - np.sqrt(3 / 7)) / 2, 0.5, (1 + np.sqrt(3 / 7)) / 2, 1.0])
+_LOBATTO_WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180
+
+
+def _join_panels() -> tuple[Array, Array]:
+    """Return points, as parts of a piece, and weights (M,) of Lobatto's rule on QUADRATURE_PANELS parts of it."""
+    inner = len(_LOBATTO_PARTS) - 1
+    parts = np.zeros(QUADRATURE_PANELS * inner + 1)
+    weights = np.zeros(len(parts))
+    for k in range(QUADRATURE_PANELS):
+        panel = slice(k * inner, (k + 1) * inner + 1)
+        parts[panel] = (k + _LOBATTO_PARTS) / QUADRATURE_PANELS
+        # Panels share their ends.
+        weights[panel] += _LOBATTO_WEIGHTS / QUADRATURE_PANELS
+    return parts, weights
+
+
+CONTACT_PIECE_SAMPLE_PARTS, CONTACT_PIECE_WEIGHTS = _join_panels()
+"""Sample points (M,) of a piece, as parts of its length, which contain both ends, and weights of the rule."""
+PIECE_PROJECTION = CONTACT_PIECE_WEIGHTS * np.stack(
+    [np.ones_like(CONTACT_PIECE_SAMPLE_PARTS), 3 * (2 * CONTACT_PIECE_SAMPLE_PARTS - 1)]
+)
+"""Projection (2, M) of samples of a push to its mean and its growth along a piece (rod_loads.PieceForce)."""
 CONTACT_FORCE_TOLERANCE_N = 1e-4
 """Largest difference, N, between the forces on all pieces and the wall's pushes at their depths."""
 CONTACT_TIP_TOLERANCE_RAD = 1e-7
@@ -73,8 +93,9 @@ MARGIN_PROBE = 1e-6
 """Change of a coordinate, rad or mm, and of a margin, for the slopes of margins."""
 TIP_SCALE_MM_PER_RAD, FORCE_SCALE_MM_PER_N = 50.0, 1.0
 """Scales of tip and forces in the size of a Newton step: about the lengths by which they move a robot."""
-MIN_WALL_SHARE_STEP = 2.0**-10
-"""Least step in which the wall is hardened around a robot without a history."""
+MIN_WALL_SHARE_STEP = 2.0**-20
+"""Least step in which the wall is hardened around a robot without a history: one
+that would be 100 mm outside of the lumen needs a wall that soft to begin with."""
 
 
 class ContactState(NamedTuple):
@@ -163,7 +184,7 @@ class ContactEquilibria:
     @cached_property
     def kind(self) -> RodKind:
         """Kind of rods: that of the load, with sections divided into pieces that have forces of their own."""
-        return kind_with_pieces(self.load)
+        return kind_with_pieces(self.load, self.robot.d)
 
     @cached_property
     def equilibria(self) -> LoadedEquilibria:
@@ -250,7 +271,7 @@ class ContactEquilibria:
         return self._points(self._rods([state]), sigma)[0]
 
     def contact(self, state: ContactState) -> WallPush:
-        """Return what the wall does to a state at the sample points (K, 5) of its pieces."""
+        """Return what the wall does to a state at the sample points (K, M) of its pieces."""
         found = self._contacts(self._rods([state]))
         return WallPush(found.beyond[0], found.push[0], found.slope[0], found.narrow[0])
 
@@ -567,12 +588,18 @@ class ContactEquilibria:
         rods = self._integrate(_join(angles), _join(axes), _join(beta), _join(pushes), loads)
         q = np.stack([state.q for state in states])
         misfits = self.equilibria.misfit(np.repeat(q, rows, axis=0), rods.ends)
-        points = self._samples(rods)[:, near]
-        slope = share * contact.slope[:, near]
+        terms = self._curve_terms(rods)[:, near]
+        slope = np.einsum(
+            "gm,mn,tkmij->tkginj",
+            PIECE_PROJECTION,
+            self._term_weights,
+            share * contact.slope[:, near],
+            optimize=True,
+        )
         jacobian, by_beta = (
-            np.concatenate([np.swapaxes(misfit_by, 1, 2), -_push_changes(slope, points_by)], axis=1)
-            for misfit_by, points_by in zip(
-                self._differences(misfits, probes), self._differences(points, probes), strict=True
+            np.concatenate([np.swapaxes(misfit_by, 1, 2), -_push_changes(slope, terms_by)], axis=1)
+            for misfit_by, terms_by in zip(
+                self._differences(misfits, probes), self._differences(terms, probes), strict=True
             )
         )
         jacobian[:, d + 2 + which, d + 2 + which] += 1.0
@@ -643,7 +670,7 @@ class ContactEquilibria:
         return _Rods(ends, beta, piece_positions(self.robot, self.kind, beta)[1])
 
     def _contacts(self, rods: _Rods) -> WallPush:
-        """Return what the wall does to the sample points (T, K, 5) of rods."""
+        """Return what the wall does to the sample points (T, K, M) of rods."""
         middles = np.cumsum(rods.lengths, axis=1) - rods.lengths / 2
         # One tube is the outermost along a whole piece. At its ends, where samples are, rounding would decide.
         radius = outermost_tube_radii(self.robot, rods.beta, middles / rods.beta[:, -1:])
@@ -651,10 +678,19 @@ class ContactEquilibria:
         return self.wall.push(samples, np.repeat(radius[..., None], samples.shape[2], axis=2))
 
     def _samples(self, rods: _Rods) -> Array:
-        """Return the sample points (T, K, 5, 3) of the pieces of rods, mm."""
+        """Return the sample points (T, K, M, 3) of the pieces of rods, mm."""
+        return np.einsum("mn,tknc->tkmc", self._term_weights, self._curve_terms(rods))
+
+    @cached_property
+    def _term_weights(self) -> Array:
+        """Matrix (M, 1 + n) from the terms of a piece's curve to its sample points."""
+        parts = CONTACT_PIECE_SAMPLE_PARTS
+        return np.column_stack([np.ones_like(parts), _integrals(parts, self.kind.steps)])
+
+    def _curve_terms(self, rods: _Rods) -> Array:
+        """Return terms (T, K, 1 + n, 3), mm, in which points of a piece are linear: its start, and _curves."""
         starts, coefficients = self._curves(rods)
-        weights = _integrals(CONTACT_PIECE_SAMPLE_PARTS, self.kind.steps)
-        return starts[:, :, None] + np.einsum("mn,tknc->tkmc", weights, coefficients)
+        return np.concatenate([starts[:, :, None], coefficients], axis=2)
 
     def _points(self, rods: _Rods, sigma: Array) -> Array:
         """Return points (T, n, 3), mm, of rods at sigma (n,), parts of their lengths."""
@@ -702,14 +738,16 @@ def _integrals(part: Array, steps: int) -> Array:
     return np.asarray(part[..., None] ** powers / powers)
 
 
-def _push_changes(slope: Array, points_by: Array) -> Array:
+def _push_changes(slope: Array, terms_by: Array) -> Array:
     """Return changes (T, 6 N, n) of the mean and growth of pushes on N pieces of T robots.
 
-    slope (T, N, m, 3, 3): of the push at each sample point. points_by (T, n, N, m, 3): changes of the points.
+    slope (T, N, 2, 3, m, 3): of both by the m terms of each piece's curve. terms_by (T, n, N, m, 3): changes of
+    these.
     """
-    changes = np.einsum("tkmij,tzkmj->tkmiz", slope, points_by, optimize=True)
-    found = np.einsum("gm,tkmiz->tkgiz", PIECE_PROJECTION, changes)
-    return found.reshape(len(points_by), 6 * points_by.shape[2], points_by.shape[1])
+    count, changes, pieces, terms, _ = terms_by.shape
+    rows = slope.reshape(count, pieces, 6, 3 * terms)
+    columns = np.moveaxis(terms_by, 1, 4).reshape(count, pieces, 3 * terms, changes)
+    return np.asarray(rows @ columns).reshape(count, 6 * pieces, changes)
 
 
 def _newton_step(jacobian: Array, residual: Array) -> Array | None:

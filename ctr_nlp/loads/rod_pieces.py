@@ -14,13 +14,14 @@ from ctr_nlp.models.loads import Load, LoadOverTime
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
-PIECES_PER_SECTION = 9
-"""Number of pieces into which every section between ends of tubes is divided: some mm each."""
+PIECES_PER_SECTION, PIECES_OF_ONE_TUBE = 9, 12
+"""Number of pieces into which every section between ends of tubes
+is divided, some mm each, and that of a robot of one tube, which has one section for its whole length."""
 
 
-def kind_with_pieces(load: Load | LoadOverTime) -> RodKind:
-    """Return the kind of rods that bear a load and a force per length on every piece."""
-    return RodKind.of(load)._replace(pieces=PIECES_PER_SECTION)
+def kind_with_pieces(load: Load | LoadOverTime, tubes: int) -> RodKind:
+    """Return the kind of rods of a number of tubes that bear a load and a force per length on every piece."""
+    return RodKind.of(load)._replace(pieces=PIECES_PER_SECTION if tubes > 1 else PIECES_OF_ONE_TUBE)
 
 
 def piece_positions(robot: Robot, kind: RodKind, beta: Array) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ its places instead of abruptly, so that shapes stay smooth functions of the exte
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -155,8 +156,9 @@ class RodKind(NamedTuple):
     def steps(self) -> int:
         """Steps of integration in each section, or in each piece where sections are divided."""
         # The corner of a force along the body costs accuracy in the step that it falls into. Pieces share the
-        # steps of their section.
-        return LOADED_STEPS_PER_SECTION * (2 if self.distributed else 1) // max(self.pieces, 1)
+        # steps of their section, rounded up.
+        steps = LOADED_STEPS_PER_SECTION * (2 if self.distributed else 1)
+        return math.ceil(steps / max(self.pieces, 1))
 
     def numbers(self, structure: Structure) -> int:
         """Return how many numbers a load of a robot has: of loads.Load.numbers, and six for every piece, N/mm, if
