@@ -1,0 +1,149 @@
+"""Compare plans that lean on the wall with plans that keep off it, at the narrowest ends of a tree.
+
+python scripts/studies/contact.py MASK FILE.csv --from-carina [--robot stock_1] [--ends 20] [--frames 25]
+
+Each end gets two plans for the robot as described: one that may touch the wall by so many mm, and one that begins
+with it and may lean on the wall with so much force. Both are moved along the wall in ten sub-steps a frame, and
+the largest force at a place is found. A row is written for each end as it is done; ends in the file are left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp import CtrError, Plan, Problem, solve_horizon, solve_on_wall
+from ctr_nlp.anatomy.lumen_tree import LumenTree, read_lumen_tree
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loads.contact_equilibria import ContactEquilibria
+from ctr_nlp.loads.contact_plan import replay_on_wall
+from ctr_nlp.loads.tissue import AIRWAY_WALL_STIFFNESS_N_PER_MM2, CONTACT_FORCE_ALLOWED_N
+from ctr_nlp.loads.winkler_wall import WinklerWall
+from ctr_nlp.models.loads import Load, with_modulus
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.shipped import read_robot
+
+NITINOL_MPA = 60_000.0
+"""Young's modulus of tubes whose file tells none."""
+COLUMNS = (
+    *("robot", "end", "room_mm", "avoids_tip_mm", "avoids_contact_mm", "avoids_reached", "avoids_force_N"),
+    *("leans_tip_mm", "leans_contact_mm", "leans_reached", "leans_force_N", "leans_margin"),
+    *("leans_margin_without_wall", "leans_failed", "process_s"),
+)
+
+
+def main() -> None:
+    """Plan to the narrowest ends twice, and write the rows."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("mask", metavar="MASK", type=Path, help="mask of the airways")
+    parser.add_argument("table", metavar="FILE.csv", type=Path, help="table that rows are added to")
+    parser.add_argument("--robot", metavar="FILE.toml|NAME", default="stock_1", help="robot (default stock_1)")
+    parser.add_argument("--ends", metavar="N", type=int, default=20, help="ends, narrowest first (default 20)")
+    parser.add_argument("--frames", metavar="T", type=int, default=25, help="frames of a plan (default 25)")
+    parser.add_argument("--force", metavar="N", type=float, default=CONTACT_FORCE_ALLOWED_N, help="allowed, N")
+    parser.add_argument("--from-carina", action="store_true", help="insert the robot at the main bifurcation")
+    asked = parser.parse_args()
+    robot = with_modulus(read_robot(asked.robot), NITINOL_MPA)
+    tree = read_lumen_tree(asked.mask, from_carina=asked.from_carina)
+    known = read_rows(asked.table)
+    for end, room in narrowest_ends(tree, robot)[: asked.ends]:
+        if (asked.robot, str(end)) in {(row["robot"], row["end"]) for row in known}:
+            continue
+        row = {"robot": asked.robot, "end": end, "room_mm": round(room, 3)}
+        row |= compare_plans(tree.problem(end, robot, asked.frames), asked.force)
+        add_row(asked.table, row)
+        print(", ".join(f"{name} {value}" for name, value in row.items() if value != ""), flush=True)
+    summarise(read_rows(asked.table))
+
+
+def narrowest_ends(tree: LumenTree, robot: Robot) -> list[tuple[int, float]]:
+    """Return the ends that a robot is long enough for, narrowest first, each with its least room, mm."""
+    longest = float(robot.split(robot.upper)[1][-1])
+    rooms = [(end.number, tree.find_narrowest(end, robot)) for end in tree.ends if end.path.length <= longest]
+    return sorted(((k, room.margin) for k, room in rooms if room is not None), key=lambda each: each[1])
+
+
+def compare_plans(problem: Problem, limit: float) -> dict[str, Any]:
+    """Plan to an end with and without leaning on the wall; return the columns of its row."""
+    begin = time.process_time()
+    avoids = solve_horizon(problem)
+    found = {f"avoids_{name}": value for name, value in describe(avoids).items()}
+    found["avoids_force_N"] = peak_force(problem, avoids)
+    try:
+        leans = solve_on_wall(problem, limit, initial=avoids)
+    except OptionError as error:
+        return found | {"leans_failed": str(error), "process_s": round(time.process_time() - begin)}
+    found |= {f"leans_{name}": value for name, value in describe(leans).items()}
+    assert leans.place_force_between is not None
+    assert leans.stability_without_wall is not None
+    found |= {
+        "leans_force_N": round(float(np.nanmax(leans.place_force_between)), 4),
+        "leans_margin": round(float(np.min(leans.stability_between)), 4),
+        "leans_margin_without_wall": round(float(np.min(leans.stability_without_wall)), 4),
+        "leans_failed": " ".join(leans.verdicts.failed_names),
+    }
+    return found | {"process_s": round(time.process_time() - begin)}
+
+
+def describe(plan: Plan) -> dict[str, Any]:
+    """Return where a plan's tip ends, its deepest contact, mm, and whether no check fails.
+
+    Built robots are not simulated.
+    """
+    verdicts = plan.verdicts
+    assert plan.clearance_between is not None
+    return {
+        "tip_mm": round(float(verdicts.arrives.number or 0.0), 3),
+        "contact_mm": round(max(0.0, -float(np.nanmin(plan.clearance_between))), 3),
+        "reached": "no" if verdicts.failed_names else "yes",
+    }
+
+
+def peak_force(problem: Problem, plan: Plan) -> float | str:
+    """Return the largest force at one place, N, of a plan's robot on the wall; "snaps" where it snaps there."""
+    assert problem.wall is not None
+    wall = WinklerWall(problem.wall, AIRWAY_WALL_STIFFNESS_N_PER_MM2)
+    try:
+        found = replay_on_wall(ContactEquilibria(problem.robot, wall, Load()), problem.wall, plan.q)
+    except CtrError:
+        return "snaps"
+    return round(float(np.max(found.place_between)), 4) if found.in_equilibrium.all() else "snaps"
+
+
+def read_rows(table: Path) -> list[dict[str, str]]:
+    """Return the rows of a table, none where there is no such file."""
+    if not table.exists():
+        return []
+    with table.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def add_row(table: Path, row: dict[str, Any]) -> None:
+    """Add a row to a table, with the columns' names before the first."""
+    new = not table.exists()
+    with table.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS, restval="")
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
+
+
+def summarise(rows: list[dict[str, str]]) -> None:
+    """Print how many ends are reached either way, and by how much leaning lowers the largest force."""
+    for name in dict.fromkeys(row["robot"] for row in rows):
+        own = [row for row in rows if row["robot"] == name]
+        reached = [sum(row[f"{way}_reached"] == "yes" for row in own) for way in ("avoids", "leans")]
+        print(f"{name}: {len(own)} ends, {reached[0]} reached free of the wall, {reached[1]} leaning on it")
+        both = [row for row in own if row["avoids_force_N"] not in ("", "snaps", "0.0") and row["leans_force_N"]]
+        ratios = [float(row["leans_force_N"]) / float(row["avoids_force_N"]) for row in both]
+        if ratios:
+            print(f"  largest force, leaning to not leaning: median {np.median(ratios):.2f} of {len(ratios)} ends")
+
+
+if __name__ == "__main__":
+    main()
