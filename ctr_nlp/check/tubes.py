@@ -71,7 +71,7 @@ def read_tubes(robot: dict, parts: Array | None = None) -> Tubes:
         EI / GJ, curved length in mm and the motor's zero in rad. One robot as described by default.
     """
     rows = robot["tubes"]
-    parts = np.zeros((1, len(rows), 5)) if parts is None else np.asarray(parts, dtype=float)
+    parts = np.zeros((1, len(rows), 5)) if parts is None else parts
     curvature, stiffness, ratio, longer, zero = np.moveaxis(parts, (2, 1), (0, 1))
 
     def column(name: str) -> Array:
@@ -113,17 +113,17 @@ def interpolate_cubic(z: Any, h: Array, start: Array, slope: Array, end: Array, 
 class Twist:
     """Tubes that are integrated from the base.
 
-    bounds (P + 1, n): ends of the pieces of the body, mm. s (N + 1, n): ends of the steps. outermost (N, n):
-    number of the outermost tube on each step. bends (N, d, n): whether tube i is curved there. total (N, n): sum
-    of the EI of the tubes that are there. psi, rate (N + 1, d, n): psi_i and psi_i' at the ends of steps.
-    sensitivity (n, d, d): derivatives of psi_i'(beta_i) by psi_j'(0), (n, d, 0) where they were not asked for.
+    bounds (P + 1, n): ends of the pieces of the body, mm. s (N + 1, n): ends of the steps. present, bends
+    (N, d, n): whether tube i is there on each step, and whether it is curved there. total (N, n): sum of the EI of
+    the tubes that are there. psi, rate (N + 1, d, n): psi_i and psi_i' at the ends of steps. sensitivity
+    (n, d, d): derivatives of psi_i'(beta_i) by psi_j'(0), (n, d, 0) where they were not asked for.
     """
 
     tubes: Tubes
     beta: Array
     bounds: Array
     s: Array
-    outermost: Array
+    present: Array
     bends: Array
     total: Array
     psi: Array
@@ -141,14 +141,11 @@ class Twist:
         # Beyond its tip a tube is carried on without a moment, at the rate that it has there.
         return self.psi[-1] - self.rate[-1] * (self.s[-1] - self.beta)
 
-    def angles(self, z: float) -> Array:
-        """psi_i (N, d, n), rad, at a fraction z of every step."""
-        return interpolate_cubic(z, self.h[:, None], self.psi[:-1], self.rate[:-1], self.psi[1:], self.rate[1:])
-
     def pulls(self, z: float) -> Array:
         """EI_i k_i e_i (N, d, n), as complex numbers, at a fraction z of every step."""
         untwisted = _pulls_untwisted(self.tubes, self.beta, self.bends, self.s[:-1] + z * self.h)
-        return untwisted * np.exp(1j * self.angles(z))
+        ends = self.psi[:-1], self.rate[:-1], self.psi[1:], self.rate[1:]
+        return untwisted * np.exp(1j * interpolate_cubic(z, self.h[:, None], *ends))
 
     def bending(self, z: float) -> Array:
         """The bending vectors u (N, n), 1/mm, as complex numbers, at a fraction z of every step."""
@@ -208,4 +205,4 @@ def integrate(tubes: Tubes, alpha: Array, beta: Array, rates: Array, sensitiviti
         nodes.append((y[0], rate[0]))
     psi, turned = (np.array(each) for each in zip(*nodes, strict=True))
     sensitivity = np.moveaxis(rate[1:], (0, 1, 2), (2, 1, 0))
-    return Twist(tubes, beta, bounds, s, present.argmax(axis=1), bends, total, psi, turned, sensitivity)
+    return Twist(tubes, beta, bounds, s, present, bends, total, psi, turned, sensitivity)

@@ -168,7 +168,7 @@ def result(moved=3, **changes):
 
 
 def test_results_of_samples_are_compared_one_by_one():
-    assert records._check_samples(result()) == Finding(YES, 0.0, why="0 of 3 samples differ.")
+    assert records._check_samples(result()) == Finding(YES, 0.0, why="0 of 3 samples differ: none.")
     uncovered = result(moved=0)
     assert records._check_samples(uncovered) == Finding(NOT_COVERED, why="Because.")
     uncovered.findings["holds"] = Finding(YES)
@@ -178,7 +178,9 @@ def test_results_of_samples_are_compared_one_by_one():
     assert records._check_samples(without).word == NOT_COVERED
     assert records._check_samples(result(draws_lost=np.array([1, 0, 0]))).word == YES  # one may differ
     lost = records._check_samples(result(draws_lost=np.array([1, 2, 0])))
-    assert lost == Finding(NO, 2.0, why="2 of 3 samples differ: 2 are lost in one view only.")
+    assert lost == Finding(NO, 2.0, why="2 of 3 samples differ: outcomes of 2.")
+    both = records._check_samples(result(draws_lost=np.array([1, 2, 0]), draws_cloud=cloud(0.2)))
+    assert both == Finding(NO, 3.0, why="3 of 3 samples differ: tips of 1, outcomes of 2.")
     assert records._check_samples(result(draws_clearance=np.array([1.0, 0.0, -0.4]))).word == NO
     assert records._check_samples(result(draws_clearance=np.full(3, np.nan))).word == YES
     assert records._check_samples(result(draws_cloud=cloud(0.2))).word == NO
@@ -440,9 +442,9 @@ def test_frames_must_be_solved_with_small_residuals(success, kkt, interpolated, 
         ([[0.5, 0.2]], [], 0.203, YES),
         ([[0.5, 0.2]], [], 0.21, NO),
         ([[0.5, 0.0005]], [], 0.0, NO),
-        ([[0.5, np.nan]], [], 0.0, NOT_COVERED),
         ([[0.5, 0.4]], [7], 0.0, NO),
-        ([[np.nan, np.nan]], [], 0.0, NOT_COVERED),
+        ([[0.5, 0.4], [np.nan, np.nan]], [2], 0.0, NO),
+        ([[np.nan, np.nan]], [1], 0.0, NO),
     ],
 )
 def test_stability_needs_the_margin_everywhere(margin, snaps, asked, word):
