@@ -83,7 +83,10 @@ def test_judge_stops_at_a_snap():
         "snaps": [3],
     }
     assert faults(row) == []
-    assert [agreement(row, name) for name in ("stable", *NOT_COVERED_AFTER_SNAPS)] == ["agree", *["not covered"] * 4]
+    assert [agreement(row, name) for name in ("stable", *NOT_COVERED_AFTER_SNAPS)] == [
+        "agree",
+        *["not covered"] * 4,
+    ]
     assert "no 9.00 / not covered" in page([row])
     row["judge"]["stable"] = [NOT_CHECKED, None, None]
     assert len(faults(row)) == 1

@@ -158,16 +158,18 @@ def examine_motion(file: PlanFile, samples: int = 0) -> CheckResult:
     found = measure_motion(file, findings, file.tubes, file.q + turns)
     found.findings.update(_judge_shapes(found))
     drawn, recorded = _take_samples(file, samples), len(file.arrays.get("draws_parts", ()))
-    if samples:
-        why = "" if drawn else "Samples under a tip force or of other tolerances than uniform ones."
-    else:
+    if not samples:
         why = f"The file's {recorded} samples were not simulated." if recorded else "No samples were simulated."
-    if drawn and found.snaps:
+    elif drawn is None:
+        why = "Samples under a tip force or of other tolerances than uniform ones."
+    elif found.snaps:
         why = "Samples are compared with the robot, which snaps."
-    elif drawn and turns.any():
+    elif turns.any():
         why = "The robot begins on another branch than the one that samples are turned to."
+    else:
+        return _judge_samples(found, _move_samples(file, *drawn))
     found.findings["holds"] = Finding(NOT_COVERED, why=why)
-    return found if why or drawn is None else _judge_samples(found, _move_samples(file, *drawn))
+    return found
 
 
 def is_later_part(file: PlanFile) -> bool:

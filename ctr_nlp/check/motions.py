@@ -30,8 +30,9 @@ LONGEST_PART = 0.5
 class Follower:
     """n robots that are moved by continuation, each in steps of its own.
 
-    rates, angles (d, n): at the base, rad/mm, and at the tips, rad. tube, beta (d, n): where the tubes' bases are,
-    without the motors' zeros, rad and mm. snapped (n,): whether a robot has snapped, and is not moved any further.
+    rates, angles (d, n): at the base, rad/mm, and at the tips, rad, NaN of a robot that has snapped. tube, beta
+    (d, n): where the tubes' bases are, without the motors' zeros, rad and mm. snapped (n,): whether a robot has
+    snapped, and is not moved any further.
     """
 
     def __init__(self, tubes: Tubes, angle: float = 0.0, lags: Array | float = 0.0) -> None:
@@ -46,13 +47,7 @@ class Follower:
         self.beta = self.rates.copy()
         self.snapped = np.zeros(tubes.zero.shape[1], dtype=bool)
         self._lags = lags + np.zeros_like(tubes.zero)
-        self._trend = np.zeros_like(tubes.zero)
         self._begun = False
-
-    @property
-    def state(self) -> Array:
-        """Rates and angles (2, d, n), NaN of robots that have snapped."""
-        return np.where(self.snapped, np.nan, [self.rates, self.angles])
 
     def twist(self, rows: Array) -> Twist:
         """The tubes of some robots as they are now."""
@@ -85,18 +80,17 @@ class Follower:
         part, step = np.zeros(len(self.snapped)), np.full(len(self.snapped), longest)
         while len(rows := np.flatnonzero(~self.snapped & (part < 1))):
             goal = np.minimum(part[rows] + step[rows], 1.0)
-            reached = self._step(rows, *place(goal, rows), goal - part[rows])
+            reached = self._step(rows, *place(goal, rows))
             part[rows[reached]] = goal[reached]
             step[rows] = np.where(reached, np.minimum(2 * step[rows], longest), step[rows] / 4)
-            self._trend[:, rows[~reached]] = 0.0
             self.snapped[rows] = step[rows] < MIN_PART
+            self.rates[:, self.snapped] = self.angles[:, self.snapped] = np.nan
         alpha, self.beta = place(np.ones(len(part)), np.arange(len(part)))
         self.tube, self._begun = alpha - self.tubes.zero, True
 
-    def _step(self, rows: Array, alpha: Array, beta: Array, part: Array) -> Array:
+    def _step(self, rows: Array, alpha: Array, beta: Array) -> Array:
         """Which robots (m,) Newton's method leads to a stable equilibrium nearby; these are moved there."""
-        tubes, old = self.tubes[rows], self.rates[:, rows]
-        rates = old + part * self._trend[:, rows]
+        tubes, rates = self.tubes[rows], self.rates[:, rows]
         size, diverges = np.full(len(rows), np.inf), np.zeros(len(rows), dtype=bool)
         for _ in range(MAX_NEWTON_ITERATIONS):
             found = integrate(tubes, alpha, beta, rates)
@@ -114,7 +108,6 @@ class Follower:
         near = abs(turned - turned[-1:]).max(axis=0) < MAX_TIP_TURN_RAD
         reached = near & ~diverges & (size < CONVERGED_RATE) & (determinant > 0)
         moved = rows[reached]
-        self._trend[:, moved] = (rates[:, reached] - old[:, reached]) / part[reached]
         self.rates[:, moved], self.angles[:, moved] = rates[:, reached], found.tip_angles[:, reached]
         return reached
 
@@ -139,12 +132,13 @@ def move_nominal(tubes: Tubes, q: Array, substeps: int = 10) -> tuple[Array, Arr
     sub-steps repeat the frame.
     """
     follower, many, ways = Follower(tubes), Follower(tubes.repeat(len(q))), find_ways(q)
-    states = [follower.state, *(follower.state for _ in follower.move(ways))]
+    states = [np.zeros((2, *follower.rates.shape))]
+    states += [np.stack([follower.rates, follower.angles]) for _ in follower.move(ways)]
     many.rates, many.angles = np.concatenate(states[:-1], axis=2)
     many.snapped[:] = np.isnan(many.rates).any(axis=0)
     parts = np.linspace(0.0, 1.0, substeps + 1)[:, None, None]
     fine = ways[:-1, :, 0].T + parts * np.diff(ways[..., 0], axis=0).T
-    rates = np.array([many.state[0] for _ in many.move(fine, longest=1.0)]).transpose(2, 0, 1)
+    rates = np.array([many.rates.copy() for _ in many.move(fine, longest=1.0)]).transpose(2, 0, 1)
     rates[0] = rates[0, -1]
     places = (q + (parts[1:] - 1) * np.diff(q, axis=0, prepend=q[:1])).swapaxes(0, 1)
     return places, rates, (np.flatnonzero(many.snapped)[:1] + 1).tolist()

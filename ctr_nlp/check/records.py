@@ -151,21 +151,18 @@ def _compare(name: str, recorded: Array, found: Array, allowed: Array | float, u
     if not known.any():
         return Finding(NOT_COVERED, why=f"No {name} were found to compare with.")
     # A recorded value that is missing where one was found is as far off as can be.
-    away = np.where(known, np.nan_to_num(abs(recorded - found), nan=np.inf), 0.0)
-    left = np.where(known, allowed - away, np.inf)
-    worst = np.unravel_index(int(left.argmin()), left.shape)
-    why = f"Recorded {name} differ by {away[worst]:.3g}{unit}, most in frame {worst[0] + 1}; "
-    why += f"{left[worst] + away[worst]:.2g}{unit} is allowed."
-    return judge(left[worst] >= 0, float(away[worst]), float(left[worst]), why)
+    away = np.nan_to_num(abs(recorded - found), nan=np.inf)[known]
+    most = np.broadcast_to(allowed, found.shape)[known]
+    worst = int((away - most).argmax())
+    why = f"Recorded {name} differ by {away[worst]:.3g}{unit}, most in frame {np.nonzero(known)[0][worst] + 1}; "
+    why += f"{most[worst]:.2g}{unit} is allowed."
+    return judge(away[worst] <= most[worst], float(away[worst]), float(most[worst] - away[worst]), why)
 
 
 def _check_motion(found: CheckResult) -> tuple[Finding, Finding, Finding]:
     """Return whether recorded shapes, margins and clearances are those of the motion."""
-    file, arrays, model = (
-        found.file,
-        found.file.arrays,
-        str(found.file.meta.get("evaluated", found.file.meta["model"])),
-    )
+    file, arrays = found.file, found.file.arrays
+    model = str(file.meta.get("evaluated", file.meta["model"]))
     why = "" if np.isfinite(found.margin).any() else found.findings["stable"].why
     if model not in ("elastic", "dominant"):
         why = f"The checker does not know the model {model}."

@@ -161,7 +161,7 @@ def test_turning_a_tube_snaps_where_opposed_pair_is_unstable():
 
 def move(follower, q):
     """Angles of the tips (T, d, n) of robots that are moved through q."""
-    return np.array([follower.state[1] for _ in follower.move(find_ways(q, len(follower.snapped)))])
+    return np.array([follower.angles.copy() for _ in follower.move(find_ways(q, len(follower.snapped)))])
 
 
 def nominal_tips(tubes, q):

@@ -77,7 +77,7 @@ def test_axes_are_rigid_and_target_lies_on_lumen(tmp_path):
     assert axes(lumen=lumen(), lumen_radius=radius + 0.2).word == NO
     assert axes(lumen=lumen(), lumen_radius=radius - 0.2).word == NO
     assert axes({"deviation": 0.2}, lumen=lumen(), lumen_radius=radius + 0.2).word == NOT_COVERED
-    assert axes(lumen=lumen(shift=5.5)).word == NO
+    assert axes(lumen=lumen(shift=5.5), lumen_radius=radius).word == NO
     source = tmp_path / "path.csv"
     source.write_text("x_mm,y_mm,z_mm\n0,0,0\n0,0,15\n0,0,30\n")
     assert axes(source=source).word == YES
@@ -191,22 +191,25 @@ def test_results_of_samples_are_compared_one_by_one():
 
 def test_recorded_values_are_compared_where_others_were_found():
     own = np.array([[1.0, 2.0], [np.nan, 4.0]])
-    assert records._compare("clearances", own, own).word == YES
-    assert records._compare("clearances", own + 0.09, own).word == YES
-    far = records._compare("clearances", own - [[0.0, 0.0], [0.0, 0.3]], own)
+    assert records._compare("clearances", own, own, 0.1).word == YES
+    assert records._compare("clearances", own + 0.09, own, 0.1).word == YES
+    far = records._compare("clearances", own - [[0.0, 0.0], [0.0, 0.3]], own, 0.1, " mm")
     assert far.word == NO
     assert far.number == pytest.approx(0.3)
     assert far.distance == pytest.approx(-0.2)
-    assert "in frame 2" in far.why
-    assert records._compare("shapes", np.full((2, 2), np.nan), own).word == NO
-    assert records._compare("shapes", own, np.full((2, 2), np.nan)).word == NOT_COVERED
+    assert far.why == "Recorded clearances differ by 0.3 mm, most in frame 2; 0.1 mm is allowed."
+    each = np.array([[0.1, 0.3], [0.1, 0.3]])  # allowed, of each value
+    assert records._compare("clearances", own + [[0.0, 0.2], [0.0, 0.2]], own, each).word == YES
+    assert records._compare("clearances", own + [[0.2, 0.0], [0.0, 0.0]], own, each).word == NO
+    assert records._compare("shapes", np.full((2, 2), np.nan), own, 0.1).word == NO
+    assert records._compare("shapes", own, np.full((2, 2), np.nan), 0.1).word == NOT_COVERED
 
 
 TUBE = {"length": 90.0, "curved_length": 50.0, "curvature": 0.0, "outer_diameter": 2.0, "inner_diameter": 1.0}
 TUBE |= {"poisson_ratio": 0.3, "youngs_modulus": 1.0}
 
 
-def motion(meta=None, snaps=(), margin=None, **changes):
+def motion(meta=None, margin=None, **changes):
     """A straight robot of one tube that goes along a lumen of 5 mm in four frames, found as it is recorded.
 
     Margins fall within each frame; on the way to the third frame the robot is nearer to the wall.
@@ -233,7 +236,7 @@ def motion(meta=None, snaps=(), margin=None, **changes):
         shape=shape,
         margin=margins,
         clearance=clearance,
-        snaps=list(snaps),
+        e2=np.where(np.isnan(margins[:, -1]), np.nan, 0.0),
     )
 
 
@@ -273,13 +276,15 @@ def test_clearances_away_from_the_nearest_place_may_be_smoothed():
     clearance = motion().file.arrays["clearance"]
     away, near = clearance.copy(), clearance.copy()
     found = motion()
-    found.shape[:, 50:, 0] = -0.5  # half of the robot is nearer to the wall than the other half
+    found.clearance[..., 50:] -= 0.5  # half of the robot is nearer to the wall than the other half
     away[:, :50] += 0.4
     away[:, 50:] -= 0.5
     near[:, 50:] -= 0.1
-    for recorded, word in ((away, YES), (near, NO)):
+    between = found.file.arrays["clearance_between"]
+    between[:, 50:] -= 0.5
+    for recorded, word in ((away, YES), (near, NO), (away - 0.55, NO)):
         found.file.arrays["clearance"] = recorded
-        assert records._check_clearances(found, found.shape).word == word
+        assert records._check_motion(found)[2].word == word
 
 
 def test_frames_after_a_bifurcation_are_not_compared():
@@ -290,9 +295,11 @@ def test_frames_after_a_bifurcation_are_not_compared():
     assert words_of_motion(margin=margin, shape=wrong)[:2] == [YES, YES]
     wrong[1] += 1.0
     assert words_of_motion(margin=margin, shape=wrong)[0] == NO
-    assert words_of_motion(snaps=[2], shape=wrong)[:2] == [YES, YES]
-    assert words_of_motion(snaps=[3], shape=wrong)[0] == NO
-    assert words_of_motion(snaps=[1], shape=wrong)[:2] == [NOT_COVERED, NOT_COVERED]
+    for frame, word in ((2, YES), (3, NO), (1, NOT_COVERED)):
+        snapped = np.full((4, 10), 0.5)
+        snapped[frame - 1 :] = np.nan
+        snapped[frame - 1, :3] = 0.5
+        assert words_of_motion(margin=snapped, shape=wrong)[0] == word
 
 
 def test_other_models_have_no_margins():
