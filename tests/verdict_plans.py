@@ -144,7 +144,7 @@ def _samples(plan: ctr_nlp.Plan, found: Judgement) -> dict[str, float]:
 
 
 def agreement(row: dict[str, Any], name: str) -> str:
-    """Of one verdict: "agree"; "borderline" where words differ near the threshold; "not covered"; or "DISAGREE"."""
+    """Of one verdict: "agree", "not covered", "DISAGREE", or "borderline" if words differ near the threshold."""
     word = row["library"][name][0]
     theirs, _, distance = row["judge"][name]
     if word == theirs:

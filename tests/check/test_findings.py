@@ -132,9 +132,8 @@ def test_places_that_may_be_the_nearest_are_measured_at_triangles():
     of_second[1, 0] -= 0.3
     np.testing.assert_allclose(measure_clearance([Flat()], points, radius), of_each)
     np.testing.assert_allclose(measure_clearance([Flat()], points, radius, known=smooth.min()), of_all)
-    np.testing.assert_allclose(
-        measure_clearance([Flat()], points, radius, known=np.array([[-9.0], [1.0]])), of_second
-    )
+    known = np.array([[-9.0], [1.0]])
+    np.testing.assert_allclose(measure_clearance([Flat()], points, radius, known), of_second)
     np.testing.assert_allclose(measure_clearance([Flat()], points, radius, known=-np.inf), smooth)
     assert np.isinf(measure_clearance([], points, radius)).all()
 

@@ -199,8 +199,8 @@ def test_recorded_values_are_compared_where_others_were_found():
     assert far.distance == pytest.approx(-0.2)
     assert far.why == "Recorded clearances differ by 0.3 mm, most in frame 2; 0.1 mm is allowed."
     each = np.array([[0.1, 0.3], [0.1, 0.3]])  # allowed, of each value
-    assert records._compare("clearances", own + [[0.0, 0.2], [0.0, 0.2]], own, each).word == YES
-    assert records._compare("clearances", own + [[0.2, 0.0], [0.0, 0.0]], own, each).word == NO
+    assert records._compare("clearances", own + np.array([0.0, 0.2]), own, each).word == YES
+    assert records._compare("clearances", own + np.array([0.2, 0.0]), own, each).word == NO
     assert records._compare("shapes", np.full((2, 2), np.nan), own, 0.1).word == NO
     assert records._compare("shapes", own, np.full((2, 2), np.nan), 0.1).word == NOT_COVERED
 
