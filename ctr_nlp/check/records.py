@@ -111,9 +111,10 @@ def _check_frames_of_reference(file: PlanFile, source: str | Path | None) -> Fin
     allowed = max(CLEARANCE_TOLERANCE_MM, 2 * float(problem.get("deviation") or 0.0))
     off = {}  # by which targets are further away than they may be, mm
     if "lumen" in arrays:
-        # On the path, the distance to the wall is the radius.
-        differ = abs(LumenWall(arrays["lumen"]).left(target) - arrays["lumen_radius"][-1])
-        off["are off the lumen's path, or radii differ"] = differ.max() - allowed
+        # On the path, the distance to the wall is the radius; of targets without radii, it is positive.
+        left = LumenWall(arrays["lumen"]).left(target)
+        wanted = arrays["lumen_radius"][-1] if "lumen_radius" in arrays else np.maximum(left, 0.0)
+        off["are off the lumen's path, or radii differ"] = abs(left - wanted).max() - allowed
     for wall in file.walls:
         if isinstance(wall, FieldWall) and not wall.kept_out:
             beyond = -wall.left_exactly(target).min()

@@ -77,7 +77,8 @@ def test_axes_are_rigid_and_target_lies_on_lumen(tmp_path):
     assert axes(lumen=lumen(), lumen_radius=radius + 0.2).word == NO
     assert axes(lumen=lumen(), lumen_radius=radius - 0.2).word == NO
     assert axes({"deviation": 0.2}, lumen=lumen(), lumen_radius=radius + 0.2).word == NOT_COVERED
-    assert axes(lumen=lumen(shift=5.5), lumen_radius=radius).word == NO
+    assert axes(lumen=lumen(shift=4.5)).word == NOT_COVERED  # targets without radii are inside
+    assert axes(lumen=lumen(shift=5.5)).word == NO
     source = tmp_path / "path.csv"
     source.write_text("x_mm,y_mm,z_mm\n0,0,0\n0,0,15\n0,0,30\n")
     assert axes(source=source).word == YES
