@@ -134,7 +134,7 @@ def move_nominal(tubes: Tubes, q: Array, substeps: int = 10) -> tuple[Array, Arr
     follower, many, ways = Follower(tubes), Follower(tubes.repeat(len(q))), find_ways(q)
     states = [np.zeros((2, *follower.rates.shape))]
     states += [np.stack([follower.rates, follower.angles]) for _ in follower.move(ways)]
-    many.rates, many.angles = np.concatenate(states[:-1], axis=2)
+    many.rates[:], many.angles[:] = np.concatenate(states[:-1], axis=2)
     many.snapped[:] = np.isnan(many.rates).any(axis=0)
     parts = np.linspace(0.0, 1.0, substeps + 1)[:, None, None]
     fine = ways[:-1, :, 0].T + parts * np.diff(ways[..., 0], axis=0).T

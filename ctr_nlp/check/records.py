@@ -31,6 +31,8 @@ NEAR_BIFURCATION = 0.01
 """A stability margin: from the first frame below it, the size of steps may decide on the branch."""
 FALSE_ALARM = 1e-6
 """Probability that samples of the recorded tolerances fill their bands as little as they are found to."""
+TWISTING = {"elastic": True, "dominant": False}
+"""Models that the checker knows, and whether their tubes twist."""
 RECORDS = "digest", "times", "frames_of_reference", "shapes", "margins", "clearances", "samples", "tolerances"
 """Names of the findings on the record."""
 
@@ -165,11 +167,11 @@ def _check_motion(found: CheckResult) -> tuple[Finding, Finding, Finding]:
     file, arrays = found.file, found.file.arrays
     model = str(file.meta.get("evaluated", file.meta["model"]))
     why = "" if np.isfinite(found.margin).any() else found.findings["stable"].why
-    if model not in ("elastic", "dominant"):
+    if model not in TWISTING:
         why = f"The checker does not know the model {model}."
     if why:
         return (Finding(NOT_COVERED, why=why),) * 3
-    if model == "dominant":
+    if not TWISTING[model]:
         found = checker.measure_motion(file, {}, make_dominant(file.tubes), file.q)
     # From the first bifurcation or snap on, chance decides where the robot goes.
     known = np.logical_and.accumulate(np.isfinite(found.e2) & ~(found.margin <= NEAR_BIFURCATION).any(axis=1))
