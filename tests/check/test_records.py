@@ -9,6 +9,7 @@ from ctr_nlp.check import checker, comparison, records
 from ctr_nlp.check.checker import NO, NOT_COVERED, VERDICTS, YES, Finding
 from ctr_nlp.check.plan_file import PlanFile
 from ctr_nlp.check.records import RECORDS
+from ctr_nlp.check.walls import FieldWall
 
 TOLERANCES = {
     "curvature": 0.02,
@@ -84,10 +85,42 @@ def test_axes_are_rigid_and_target_lies_on_lumen(tmp_path):
     assert axes(source=source).word == YES
     source.write_text("x_mm,y_mm,z_mm\n0,0,0\n0,3,15\n0,6,30\n")
     assert axes(source=source).word == NO
+    for aside, word in ((0.09, YES), (0.12, NO)):
+        rows = "".join(f"{aside},0,{z}\n" for z in range(31))
+        source.write_text(f"x_mm,y_mm,z_mm\n{rows}")
+        assert axes(source=source).word == word
     markups = tmp_path / "path.mrk.json"
     points = ", ".join(f'{{"position": [0, 0, {z}]}}' for z in (0, 15, 30))
     markups.write_text(f'{{"markups": [{{"controlPoints": [{points}]}}]}}')
     assert axes(source=markups).word == YES
+
+
+class Body(FieldWall):
+    """A body that leaves the same room everywhere, mm."""
+
+    def __init__(self, room, kept_out=False):
+        self.kept_out = kept_out
+        self._room = room
+
+    def left_exactly(self, points):
+        return np.full(len(points), self._room)
+
+
+def test_target_stays_inside_of_bodies():
+    target = np.zeros((1, 101, 3))
+    for walls, problem, word in (
+        ([Body(-0.9)], {}, NOT_COVERED),  # voxels are about a millimetre large
+        ([Body(-1.1)], {}, NO),
+        ([Body(-1.1)], {"deviation": 0.6}, NOT_COVERED),
+        ([Body(-9.0, kept_out=True)], {}, NOT_COVERED),
+        ([Body(-9.0, kept_out=True), Body(-1.1)], {}, NO),
+    ):
+        file = file_of({"to_robot": np.eye(4), "target": target}, problem=problem)
+        file.__dict__["walls"] = walls
+        found = records._check_frames_of_reference(file, None)
+        assert found.word == word
+        if word == NO:
+            assert found.why == "Targets are outside of the wall by 0.10 mm more than they may."
 
 
 def samples(scale=1.0, count=400, **changes):
@@ -140,8 +173,8 @@ def test_normal_samples_must_have_their_variance():
 
 
 def cloud(tip=0.0):
-    """Points of three samples in two frames, of which the last tips are compared: (2, 3, 26, 3), mm."""
-    points = np.full((2, 3, 26, 3), 9.0)
+    """Points of three samples in three frames, of which the last tips are compared: (3, 3, 26, 3), mm."""
+    points = np.full((3, 3, 26, 3), 9.0)
     points[-1, :, -1] = tip
     return points
 
@@ -188,6 +221,18 @@ def test_results_of_samples_are_compared_one_by_one():
     assert records._check_samples(result(draws_cloud=cloud(np.nan))).word == NO
     assert records._check_samples(result(draws_e2=np.full((3, 2), 0.7))).word == NO
     assert records._check_samples(result(draws_e2=np.full((3, 2), 0.3))).word == NO
+
+
+@pytest.mark.parametrize(("count", "off", "word"), [(3, 1, YES), (3, 2, NO), (150, 3, YES), (150, 4, NO)])
+def test_one_sample_or_two_percent_may_differ(count, off, word):
+    recorded = {"draws_lost": np.arange(count) < off, "draws_clearance": np.ones(count)}
+    recorded |= {"draws_cloud": np.zeros((1, count, 2, 3)), "draws_e2": np.zeros((count, 2))}
+    found = result(moved=count, **recorded)
+    found.samples = {"lost": np.zeros(count, dtype=bool), "tips": np.zeros((count, 3))}
+    found.samples |= {"contacts": np.zeros(count), "errors": np.zeros((count, 2))}
+    assert records._check_samples(found) == Finding(
+        word, float(off), why=f"{off} of {count} samples differ: outcomes of {off}."
+    )
 
 
 def test_recorded_values_are_compared_where_others_were_found():
