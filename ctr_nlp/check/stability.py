@@ -17,7 +17,7 @@ from numpy.polynomial.legendre import legvander
 from ctr_nlp.check.shapes import GAUSS
 from ctr_nlp.check.tubes import Array, Twist
 
-MODE_DEGREE = 4
+MODE_DEGREE = 6
 """Highest degree of the polynomials, on each piece of the body, that variations of psi' are made of."""
 
 
