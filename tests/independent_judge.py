@@ -1,4 +1,4 @@
-"""The checker's verdicts on a plan, in the words of the library, and with what follows a snap."""
+"""The checker's verdicts on a plan, in the words of the library."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from after_snaps import settle
 
 from ctr_nlp.check.checker import NO as NO
 from ctr_nlp.check.checker import NOT_COVERED, YES, CheckResult, Finding, examine_motion
@@ -35,7 +34,7 @@ class Judgement:
 def judge(path: str | Path) -> Judgement:
     """Judge a saved plan, with all samples that the file has."""
     file = read_plan_file(path)
-    found = examine_motion(file, len(file.arrays.get("draws_parts", ())), settle)
+    found = examine_motion(file, len(file.arrays.get("draws_parts", ())))
     return Judgement({name: _in_words(found.findings[name]) for name in VERDICTS}, found)
 
 

@@ -2,7 +2,20 @@
 
 import pytest
 from independent_judge import NO, NOT_CHECKED, YES
-from verdict_plans import DESIGNED, OWN, VERDICTS, Case, agreement, cases, faults, page, planned, row_of, rows
+from verdict_plans import (
+    DESIGNED,
+    NOT_COVERED_AFTER_SNAPS,
+    OWN,
+    VERDICTS,
+    Case,
+    agreement,
+    cases,
+    faults,
+    page,
+    planned,
+    row_of,
+    rows,
+)
 
 QUICK_FRAMES, QUICK_SAMPLES = 25, 20
 AGREE_MM = 0.02
@@ -27,9 +40,10 @@ def test_verdicts_of_short_plans_agree_with_judge(name, model, tmp_path):
     row = checked_row(Case(name, OWN, model), tmp_path, tmp_path)
     assert faults(row) == []
     assert row["differ_mm"] < AGREE_MM
-    assert row["samples"]["count"] == QUICK_SAMPLES
-    assert row["samples"]["differ"] <= 1
-    assert row["samples"]["tip_differ_mm"] < SAMPLE_TIP_MM
+    assert bool(row["snaps"]) == (row["samples"] == {})
+    assert row["samples"].get("count", QUICK_SAMPLES) == QUICK_SAMPLES
+    assert row["samples"].get("differ", 0) <= 1
+    assert row["samples"].get("tip_differ_mm", 0.0) < SAMPLE_TIP_MM
     walled = NO, YES
     assert (row["library"]["within_wall"][0] in walled) == (name == "bronchus")
     assert "DISAGREE" not in page([row])
@@ -43,6 +57,7 @@ def test_words_may_differ_near_the_threshold_alone():
         "raw": dict.fromkeys(VERDICTS, NOT_CHECKED),
         "samples": {},
         "differ_mm": 0.0,
+        "snaps": [],
     }
     assert faults(row) == []
     row["judge"]["arrives"] = [NO, 2.01, -0.01]
@@ -54,6 +69,27 @@ def test_words_may_differ_near_the_threshold_alone():
     assert [agreement(row, name) for name in ("follows", "stable")] == ["DISAGREE"] * 2
     assert len(faults(row)) == 3
     assert "DISAGREE" in page([row])
+
+
+def test_judge_stops_at_a_snap():
+    words = dict.fromkeys(NOT_COVERED_AFTER_SNAPS, NOT_CHECKED) | {"stable": NO}
+    row = {
+        "case": ["p", OWN, "elastic"],
+        "library": {name: [NO, 9.0] for name in VERDICTS},
+        "judge": {name: [words.get(name, NO), None, None] for name in VERDICTS},
+        "raw": dict.fromkeys(VERDICTS, NOT_CHECKED),
+        "samples": {},
+        "differ_mm": 0.0,
+        "snaps": [3],
+    }
+    assert faults(row) == []
+    assert agreement(row, "stable") == "agree"
+    assert {agreement(row, name) for name in NOT_COVERED_AFTER_SNAPS} == {"not covered"}
+    assert "no 9.00 / not covered" in page([row])
+    row["judge"]["stable"] = [NOT_CHECKED, None, None]
+    assert len(faults(row)) == 1
+    row["snaps"] = []
+    assert len(faults(row)) == 5
 
 
 def test_there_are_forty_plans():
@@ -69,5 +105,5 @@ def test_verdicts_of_forty_plans_agree_with_judge(case, shared_data, tmp_path):
     (row,) = rows(tmp_path, shared_data, [case])
     assert faults(row) == []
     assert row["differ_mm"] is None or row["differ_mm"] < AGREE_MM
-    assert row["samples"]["differ"] <= 0.02 * row["samples"]["count"]
-    assert row["samples"]["tip_differ_mm"] < SAMPLE_TIP_MM
+    assert row["samples"].get("differ", 0) <= 0.02 * row["samples"].get("count", 0)
+    assert row["samples"].get("tip_differ_mm", 0.0) < SAMPLE_TIP_MM

@@ -42,6 +42,8 @@ in 200. Limits are found by the same arithmetic on both sides."""
 NEAR_BIFURCATION = 0.01
 """A stability margin: below it, how far steps are apart may decide on which branch a robot goes on."""
 SAMPLES, SEED = 200, 0
+NOT_COVERED_AFTER_SNAPS = "arrives", "follows", "within_wall", "holds"
+"""Verdicts that the judge does not give on robots that snap."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,7 @@ def _samples(plan: ctr_nlp.Plan, found: Judgement) -> dict[str, float]:
     tip_differ_mm: the largest difference of a sample's distance from the target's end, of samples on their branch;
     0 where the nominal robot ends on two branches, since beyond a bifurcation chance decides which is its own.
     """
-    if plan.drawn is None:
+    if plan.drawn is None or not found.result.samples:
         return {}
     outcomes = sample_outcomes(plan)
     ours = {
@@ -142,11 +144,13 @@ def _samples(plan: ctr_nlp.Plan, found: Judgement) -> dict[str, float]:
 
 
 def agreement(row: dict[str, Any], name: str) -> str:
-    """Of one verdict: "agree"; "borderline" where words differ near the threshold; or "DISAGREE"."""
+    """Of one verdict: "agree", "not covered", "DISAGREE", or "borderline" if words differ near the threshold."""
     word = row["library"][name][0]
     theirs, _, distance = row["judge"][name]
     if word == theirs:
         return "agree"
+    if theirs == NOT_CHECKED and row["snaps"] and name in NOT_COVERED_AFTER_SNAPS:
+        return "not covered"
     near = distance is not None and name in TOLERANCE and abs(distance) <= TOLERANCE[name]
     return "borderline" if near and {word, theirs} == {YES, NO} else "DISAGREE"
 
@@ -207,9 +211,9 @@ The columns are the [verdicts](concepts/verdicts.md): *arrives*, the tip's dista
 *follows*, the worst e2 in mm; *stable*, the least stability margin; *limits*, the largest share of a speed or
 acceleration limit; *wall*, the deepest contact in mm; *holds*, the share of simulated robots that hold. The
 judge cannot solve frames: it counts the frames that the plan marks as solved and whose residuals are small.
-Where a robot snaps, the library reports a margin of 0, and the judge the least margin of the equilibria before
-and after. The equilibrium after a snap depends on how the energy is minimised, and at a bifurcation on
-rounding: numbers after a snap may differ, words may not.
+Where a robot snaps, the library reports a margin of 0, and the judge the least margin before the snap. What
+follows a snap depends on how the energy is minimised, and the judge does not look for it: it calls the robot
+not stable, and the rest *not covered*.
 
 Words may differ only if the judge's number is very near the threshold: within 0.05 mm, 0.001 of a margin, or
 one sample in 200. Such cells are marked *borderline*. `tests/test_verdict_table.py` allows no other difference.
@@ -233,8 +237,10 @@ def _cell(row: dict[str, Any], name: str) -> str:
         return NOT_CHECKED
     if word == theirs:
         return f"{word} {_number(number, name)} / {_number(own, name)}"
-    text = f"{word} {_number(number, name)} / {theirs} {_number(own, name)}"
     mark = agreement(row, name)
+    if mark == "not covered":
+        return f"{word} {_number(number, name)} / {mark}"
+    text = f"{word} {_number(number, name)} / {theirs} {_number(own, name)}"
     return f"*{text} {mark}*" if mark == "borderline" else f"**{text} {mark}**"
 
 
@@ -261,7 +267,8 @@ def _summary(found: list[dict[str, Any]]) -> str:
     lost = sum(row["samples"].get("lost_differ", 0) for row in found)
     return (
         f"Of {len(marks)} verdicts on {len(found)} plans {marks.count('agree')} agree, "
-        f"{marks.count('borderline')} are borderline and {marks.count('DISAGREE')} disagree. "
+        f"{marks.count('borderline')} are borderline, {marks.count('not covered')} are not covered after a snap "
+        f"and {marks.count('DISAGREE')} disagree. "
         f"Shapes differ by {apart:.2g} mm at most, up to the first snap or bifurcation. "
         f"Of {count} simulated robots {differ} hold in the view of one of the two only; "
         f"{lost} snap or leave the branch in the view of one of the two only."

@@ -21,12 +21,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.check.motions import Follower, NominalMotion, Settle, move_nominal, move_through
+from ctr_nlp.check.motions import Follower, find_ways, move_nominal
 from ctr_nlp.check.plan_file import PlanFile
 from ctr_nlp.check.shapes import compute_body
 from ctr_nlp.check.stability import compute_stability_margins
-from ctr_nlp.check.tubes import Array, integrate, make_dominant, read_tubes
-from ctr_nlp.check.walls import FIELD_ERROR_MM, measure_clearance
+from ctr_nlp.check.tubes import Array, Tubes, integrate, read_tubes
+from ctr_nlp.check.walls import measure_clearance
 
 YES, NO, NOT_COVERED = "yes", "no", "not covered"
 VERDICTS = "solved", "arrives", "follows", "stable", "within_limits", "within_wall", "holds"
@@ -50,7 +50,6 @@ MAX_KKT_MM2 = 1e-2
 """Largest KKT residual of a solved frame, mm^2 per rad or mm."""
 LIMIT_SLACK = 1e-5
 """rad or mm by which positions and steps from frame to frame may exceed a limit."""
-SUBSTEPS = 10
 SAMPLE_PART = 0.25
 """Of the way from frame to frame, that samples are moved in one step."""
 SIGMA = np.linspace(0, 1, 101)
@@ -115,8 +114,8 @@ class CheckResult:
         Angle between tip and target in the last frame.
     samples : dict of str to ndarray
         Of n simulated robots: ``lost``, ``missed`` and ``pressed`` (n,), whether they snap or change their branch,
-        do not arrive, or touch the wall by more than they may; last ``tips`` (n, 3), deepest ``contacts`` (n,) and
-        ``errors`` (n, T), mm, NaN where a sample is lost. Empty where none were moved.
+        do not arrive, or touch the wall by more than they may; last ``tips`` (n, 3), deepest ``contacts`` (n,),
+        -inf without walls, and ``errors`` (n, T), mm, NaN where a sample is lost. Empty where none were moved.
     """
 
     file: PlanFile
@@ -133,7 +132,7 @@ class CheckResult:
     samples: dict[str, Array] = field(default_factory=dict)
 
 
-def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = None) -> CheckResult:
+def examine_motion(file: PlanFile, samples: int = 0) -> CheckResult:
     """Find the seven verdicts on the motion of a plan.
 
     Parameters
@@ -143,38 +142,33 @@ def examine_motion(file: PlanFile, samples: int = 0, settle: Settle | None = Non
     samples : int
         How many simulated robots are moved: the first ones in the file, or where it has none robots drawn from the
         tolerances.
-    settle : callable, optional
-        Finds where a robot comes to rest after a snap. Without it, what follows a snap is not covered.
 
     Returns
     -------
     CheckResult
         With the verdicts alone.
     """
-    found = CheckResult(file, {"solved": _judge_solved(file), "within_limits": _judge_limits(file)})
-    drawn = _take_samples(file, samples)
     why = _find_reason_not_covered(file)
-    found.findings.update(dict.fromkeys(SHAPE_VERDICTS, Finding(NOT_COVERED, why=why)))
+    findings = dict.fromkeys(VERDICTS, Finding(NOT_COVERED, why=why))
+    findings |= {"solved": _judge_solved(file), "within_limits": _judge_limits(file)}
     if why:
-        return found
+        return CheckResult(file, findings)
     deployed = file.meta.get("reversed") or is_later_part(file)
     turns = _find_whole_turns(file, file.q[0]) if deployed else np.zeros_like(file.q[0])
-    q = file.q + turns
-    nominal = move_nominal(file.tubes, q, SUBSTEPS, settle)
-    found = replace(found, **_measure(file, nominal))
+    found = measure_motion(file, findings, file.tubes, file.q + turns)
     found.findings.update(_judge_shapes(found))
-    if drawn is None:
-        recorded = len(file.arrays.get("draws_parts", ()))
+    drawn, recorded = _take_samples(file, samples), len(file.arrays.get("draws_parts", ()))
+    if not samples:
         why = f"The file's {recorded} samples were not simulated." if recorded else "No samples were simulated."
-        if samples:
-            why = "Samples under a tip force or of other tolerances than uniform ones."
-    elif not np.isfinite(nominal.tip_angles).all():
+    elif drawn is None:
+        why = "Samples under a tip force or of other tolerances than uniform ones."
+    elif found.snaps:
         why = "Samples are compared with the robot, which snaps."
     elif turns.any():
         why = "The robot begins on another branch than the one that samples are turned to."
+    else:
+        return _judge_samples(found, _move_samples(file, *drawn))
     found.findings["holds"] = Finding(NOT_COVERED, why=why)
-    if drawn is not None and not why:
-        return _judge_samples(found, _move_samples(file, q, nominal.tip_angles[:, -1], drawn, settle))
     return found
 
 
@@ -188,10 +182,7 @@ def _find_reason_not_covered(file: PlanFile) -> str:
     beta = file.arrays["beta"]
     if not np.isfinite(file.q).all():
         return "Frames have no configuration."
-    if (
-        max((-beta).max(), (beta - file.tubes.length.T).max(), -np.diff(beta, axis=1).min(initial=0.0))
-        > LIMIT_SLACK
-    ):
+    if min(beta.min(), (file.tubes.length.T - beta).min(), np.diff(beta).min(initial=0.0)) < -LIMIT_SLACK:
         return "Tubes are further out than they are long, or out of order."
     if file.meta.get("load", file.meta.get("planned_load")) is not None:
         return "The robot is under a load, which the checker's equations do not have."
@@ -208,10 +199,11 @@ def _find_whole_turns(file: PlanFile, q: Array) -> Array:
     """
     d = len(file.tubes.zero)
     turns = 2 * np.pi * np.array([(*each, 0) for each in itertools.product((0, -1, 1), repeat=d - 1)]).T
-    follower = Follower(file.tubes.repeat(turns.shape[1]), q[d - 1])
-    begin = np.concatenate([follower.tube, q[d : 2 * d, None] + 0 * turns])
-    follower.advance(begin, q[: 2 * d, None] + np.concatenate([turns, 0 * turns]), 0.0, 1.0, longest=0.05)
-    rows = np.flatnonzero(~follower.gone)
+    follower = Follower(file.tubes.repeat(turns.shape[1]))
+    ways = find_ways(q[None], turns.shape[1])
+    ways[1, :d] += turns
+    list(follower.move(ways, longest=0.05))
+    rows = np.flatnonzero(~follower.snapped)
     if not len(rows):
         return np.zeros_like(q)
     body = compute_body(follower.twist(rows), np.repeat(q[-2:, None], len(rows), axis=1))
@@ -220,29 +212,31 @@ def _find_whole_turns(file: PlanFile, q: Array) -> Array:
     return np.concatenate([turns[:, rows[nearest]], np.zeros(d + 2)])
 
 
-def _measure(file: PlanFile, nominal: NominalMotion) -> dict[str, Any]:
-    """Return snaps, shapes, errors, margins, clearances and contacts of a motion, as ``CheckResult`` has them."""
-    walls = file.walls
-    known = np.isfinite(nominal.rates).all(axis=-1)
+def measure_motion(file: PlanFile, findings: dict[str, Finding], tubes: Tubes, q: Array) -> CheckResult:
+    """Return a result with what is found of tubes that move through q (T, 2d + 2), without verdicts on it."""
+    walls, d = file.walls, len(tubes.zero)
+    places, rates, snaps = move_nominal(tubes, q)
+    known = np.isfinite(rates).all(axis=-1)
     points, tips = np.full((*known.shape, len(SIGMA), 3), np.nan), np.full((*known.shape, 3), np.nan)
     margin, clearance = np.full(known.shape, np.nan), np.full(points.shape[:-1], np.nan)
     deepest = np.full(len(walls), -np.inf)
     frames, steps = np.nonzero(known)
     for first in range(0, len(frames), GROUP):
         chosen = frames[first : first + GROUP], steps[first : first + GROUP]
-        twist, theta = nominal.twists(chosen)
+        alpha, beta, theta = np.split(places[chosen].T, [d, 2 * d])
+        twist = integrate(tubes.repeat(len(beta[0])), alpha, beta, rates[chosen].T, sensitivities=False)
         body = compute_body(twist, theta)
         points[chosen], tips[chosen] = body.interpolate(SIGMA), body.tangents[-1]
-        margin[chosen] = compute_stability_margins(twist)
-        radius = find_radius(twist.beta, twist.tubes.radius)
-        clearance[chosen] = measure_clearance(walls, points[chosen], radius)
+        if np.isfinite(tubes.torsional).all():  # others do not twist, so that they have no margin
+            margin[chosen] = compute_stability_margins(twist)
+        clearance[chosen] = measure_clearance(walls, points[chosen], find_radius(beta, twist.tubes.radius))
         for k, wall in enumerate(walls):
-            clear = measure_clearance([wall], *body.find_places(PLACES_MM), together=True)
+            clear = measure_clearance([wall], *body.find_places(PLACES_MM), known=-deepest[k])
             deepest[k] = max(deepest[k], -clear.min())
     shape, tip, wanted = points[:, -1], tips[-1, -1], file.arrays["target_direction"][-1]
     degrees = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(tip, wanted)), tip @ wanted)))
-    found = {"snaps": nominal.snaps, "shape": shape, "e2": measure_errors(shape, file.arrays["target"])}
-    return found | {"margin": margin, "clearance": clearance, "deepest": deepest, "tip_degrees": degrees}
+    e2 = measure_errors(shape, file.arrays["target"])
+    return CheckResult(file, findings, snaps, 0, 0, shape, e2, margin, clearance, deepest, degrees)
 
 
 def find_radius(beta: Array, radius: Array) -> Array:
@@ -268,32 +262,21 @@ def threshold(file: PlanFile, name: str) -> float:
 
 def _judge_shapes(found: CheckResult) -> dict[str, Finding]:
     """Return the verdicts on shapes and margins."""
-    deepest, file, target = found.deepest, found.file, found.file.arrays["target"][-1]
+    file, target = found.file, found.file.arrays["target"][-1]
     tip = float(np.linalg.norm(found.shape[-1, -1] - target[-1]))
     arrives = _judge_at_most(tip, threshold(file, "arrival_tolerance"), "mm from the target's end")
     length = float(np.linalg.norm(np.diff(target, axis=0), axis=1).sum())
     detour_mm = max(0.1 * length, 5.0)
     short = length - float(file.arrays["beta"][-1, -1])
-    detour = found.tip_degrees > 90 or short > detour_mm or found.e2[-1] > detour_mm
+    detour = found.tip_degrees > 90 or max(short, found.e2[-1]) > detour_mm
     if arrives.word == YES and detour and threshold(file, "arrival_tolerance") <= detour_mm:
         arrives = arrives._replace(word=NO, why=DETOUR)
-    unit = "mm e2" + (f" in frame {int(found.e2.argmax()) + 1}" if np.isfinite(found.e2).all() else "")
-    within_wall = Finding(NOT_COVERED, why="The file has no wall.")
-    if len(deepest):
-        # Tissue around a lumen gives a little; what is to be kept out of is not to be touched.
-        allowed = np.array([0.0 if wall.kept_out else threshold(file, "contact_allowed") for wall in file.walls])
-        first = (deepest - allowed).argmax()
-        depth = float(deepest[first]) if np.isfinite(found.clearance).all() else np.nan
-        within_wall = _judge_at_most(depth, float(allowed[first]), "mm of contact")
-        if depth < 0:
-            # Contact is never negative; what is left to the wall has words of its own.
-            why = f"no contact, {-depth:.2g} mm clear; {allowed[first]:g} mm of contact is allowed"
-            within_wall = within_wall._replace(number=0.0, why=why)
+    unit = "mm e2" + (f" in frame {found.e2.argmax() + 1}" if np.isfinite(found.e2).all() else "")
     return {
         "arrives": arrives,
         "follows": _judge_at_most(float(found.e2.max()), threshold(file, "error_allowed"), unit),
         "stable": _judge_stability(found.margin, found.snaps, threshold(file, "stability_margin")),
-        "within_wall": within_wall,
+        "within_wall": _judge_contact(found),
     }
 
 
@@ -304,13 +287,29 @@ def _judge_at_most(number: float, allowed: float, unit: str) -> Finding:
     return judge(number <= allowed, number, allowed - number, f"{number:.3g} {unit}; {allowed:g} mm is allowed")
 
 
+def _judge_contact(found: CheckResult) -> Finding:
+    """Return whether the deepest contact with each wall is allowed, by the wall that leaves least."""
+    if not found.file.walls:
+        return Finding(NOT_COVERED, why="The file has no wall.")
+    # Tissue around a lumen gives a little; what is to be kept out of is not to be touched.
+    given = threshold(found.file, "contact_allowed")
+    allowed = np.array([0.0 if wall.kept_out else given for wall in found.file.walls])
+    first = (found.deepest - allowed).argmax()
+    depth = float(found.deepest[first]) if np.isfinite(found.clearance).all() else np.nan
+    within = _judge_at_most(depth, float(allowed[first]), "mm of contact")
+    if depth < 0:
+        # Contact is never negative; what is left to the wall has words of its own.
+        why = f"no contact, {-depth:.2g} mm clear; {allowed[first]:g} mm of contact is allowed"
+        within = within._replace(number=0.0, why=why)
+    return within
+
+
 def _judge_solved(file: PlanFile) -> Finding:
     """Return whether all frames are marked as solved, with small residuals."""
     success, kkt = file.arrays["success"], file.arrays["kkt"]
-    large = success & (kkt > MAX_KKT_MM2)
     interpolated = len(file.meta.get("interpolated", []))
     number = float((success & (kkt <= MAX_KKT_MM2)).sum())
-    if (~success).sum() > interpolated or large.any():
+    if (~success).sum() > interpolated or (success & (kkt > MAX_KKT_MM2)).any():
         return Finding(NO, number, why="Frames are not solved, or their KKT residual is large.")
     if interpolated or np.isnan(kkt).any():
         return Finding(NOT_COVERED, number, why="Frames have no KKT residual: no program solved them.")
@@ -320,13 +319,10 @@ def _judge_solved(file: PlanFile) -> Finding:
 def _judge_stability(margin: Array, snaps: list[int], asked: float) -> Finding:
     """Return whether a robot keeps the margin asked for at (T, 10) places of a motion, and does not snap."""
     least = float(np.nanmin(margin)) if np.isfinite(margin).any() else None
-    least_allowed = max(BIFURCATION_MARGIN, asked - MARGIN_SLACK)
-    if snaps:
+    if snaps or least is None:
         return Finding(NO, least, why=f"The robot snaps on the way to frame {snaps[0]}.")
-    if least is None or not np.isfinite(margin).all():
-        return Finding(NOT_COVERED, least, why="The robot has no equilibrium somewhere.")
-    frame = int(margin.min(axis=1).argmin()) + 1
-    left = least - least_allowed
+    left = least - max(BIFURCATION_MARGIN, asked - MARGIN_SLACK)
+    frame = margin.min(axis=1).argmin() + 1
     return judge(left >= 0, least, left, f"The least margin is around frame {frame}.")
 
 
@@ -336,10 +332,11 @@ def _judge_limits(file: PlanFile) -> Finding:
     distance: how much is left to the limit that a motion exceeds by most, or comes nearest to, rad or mm a frame.
     """
     tubes, limits = (file.meta["robot"][name] for name in ("tubes", "limits"))
-    q, dt = file.q, float(file.arrays["time"][0])
+    q, d, dt = file.q, len(tubes), float(file.arrays["time"][0])
     if not np.isfinite(q).all():
         return Finding(NOT_COVERED, why="Frames have no configuration.")
-    d = len(tubes)
+    ends = [(0.0, tube["curved_length" if np.any(tube["curvature"]) else "length"]) for tube in tubes]
+    limits = limits | {"beta": limits.get("beta") or ends}
 
     def read_limits(name: str, *columns: int) -> Array:
         """Limits of alpha, beta and theta (2d + 2, ..); what is unlimited is written as text."""
@@ -347,25 +344,21 @@ def _judge_limits(file: PlanFile) -> Finding:
         given = [(np.array(limits.get(axis + name, "inf"), dtype=object), count) for axis, count in axes]
         return np.concatenate([np.broadcast_to(x, (n, *columns)) for x, n in given]).astype(float)
 
-    if limits.get("beta") is None:
-        ends = [tube["curved_length" if np.any(tube["curvature"]) else "length"] for tube in tubes]
-        limits = limits | {"beta": [(0.0, end) for end in ends]}
     lower, upper = read_limits("", 2).T
     growth = np.diff(q[:, d : 2 * d], axis=1)
-    left = {"range": np.min([q - lower, upper - q]), "order of tubes": np.min(growth, initial=np.inf)}
-    outer, inner = ([tube[f"{side}_diameter"] for tube in tubes] for side in ("outer", "inner"))
-    left["fit of tubes in each other"] = np.min(np.subtract(inner[:-1], outer[1:]), initial=np.inf)
-    if limits.get("carriage_gap") is not None:
-        gaps = np.diff([tube["length"] for tube in tubes]) - growth
-        left["gap between carriages"] = np.min(gaps, initial=np.inf) - limits["carriage_gap"]
+    gaps = np.diff([tube["length"] for tube in tubes]) - growth
+    outer, inner = (np.array([tube[f"{side}_diameter"] for tube in tubes]) for side in ("outer", "inner"))
+    gap = limits.get("carriage_gap")
+    left = {"range": np.minimum(q - lower, upper - q), "order of tubes": growth}
+    left |= {"fit of tubes in each other": inner[:-1] - outer[1:]}
+    left |= {"gap between carriages": gaps - (-np.inf if gap is None else gap)}
     used = 0.0
     for order, name in enumerate(("speed", "acceleration"), 1):
-        bound = read_limits(f"_{name}") * dt**order
-        change = abs(np.diff(q, n=order, axis=0))
-        left[name] = np.min(bound - change, initial=np.inf)
+        bound, change = read_limits(f"_{name}") * dt**order, abs(np.diff(q, n=order, axis=0))
+        left[name] = bound - change
         used = max(used, float((change / bound).max(initial=0.0)))
-    tightest = min(left, key=lambda name: left[name])
-    least = float(left[tightest]) + LIMIT_SLACK
+    least, tightest = min((float(values.min(initial=np.inf)), name) for name, values in left.items())
+    least += LIMIT_SLACK
     return judge(least >= 0, 100 * used, least, f"The {tightest} comes nearest to its limit.")
 
 
@@ -392,38 +385,30 @@ def read_bands(tolerances: dict[str, Any], d: int) -> Array:
     return np.stack([np.broadcast_to(tolerances[name], d) for name in DEVIATIONS], axis=1)
 
 
-def _move_samples(
-    file: PlanFile, q: Array, nominal_tips: Array, drawn: tuple[Array, Array], settle: Settle | None
-) -> dict[str, Array]:
-    """Return how samples fare that are moved through q (T, 2d + 2), and whether they are lost.
+def _move_samples(file: PlanFile, parts: Array, lags: Array) -> dict[str, Array]:
+    """Return how samples fare that are moved through a plan, as ``CheckResult.samples`` before they are judged.
 
-    As in ``CheckResult.samples``, without what is judged. nominal_tips (T, d): angles of the nominal robot's tips,
-    rad. drawn: differences and plays of the samples.
+    parts, lags: differences (n, d, 5) and plays (n, d) of the samples.
     """
-    count, walls = len(drawn[0]), file.walls
-    lost, contacts = np.zeros(count, dtype=bool), np.full(count, -np.inf if walls else np.nan)
+    q = file.q
+    # The robot as described comes first: the others are compared with it, and it is left out of what is returned.
+    parts, lags = (np.concatenate([np.zeros_like(each[:1]), each]) for each in (parts, lags))
+    count, robots = len(parts), read_tubes(file.meta["robot"], parts)
+    lost, contacts = np.zeros(count, dtype=bool), np.full(count, -np.inf)
     tips, errors = np.full((count, 3), np.nan), np.full((count, len(q)), np.nan)
-    robots = read_tubes(file.meta["robot"], drawn[0])
-    follower = Follower(robots, q[0, len(robots.zero) - 1], drawn[1].T, settle)
-    for frame in move_through(follower, q, SAMPLE_PART):
-        rows = np.flatnonzero(~follower.gone)
-        if not len(rows):
-            break
-        apart = follower.angles[:, rows] - nominal_tips[frame][:, None]
-        lost[rows] |= (abs(apart - apart[-1:]) > OTHER_BRANCH_RAD).any(axis=0)
+    follower = Follower(robots, q[0, len(robots.zero) - 1], lags.T)
+    for frame in follower.move(find_ways(q, count), SAMPLE_PART):
+        rows = np.flatnonzero(~follower.snapped)
+        apart = follower.angles - follower.angles[:, :1]
+        lost |= (abs(apart - apart[-1:]) > OTHER_BRANCH_RAD).any(axis=0)
         body = compute_body(follower.twist(rows), np.repeat(q[frame, -2:, None], len(rows), axis=1))
         points = body.interpolate(SIGMA)
         errors[rows, frame], tips[rows] = measure_errors(points, file.arrays["target"][frame]), points[:, -1]
-        if walls:
-            points, radius = body.find_places(PLACES_MM)
-            depth = -measure_clearance(walls, points, radius, exactly=False).min(axis=1)
-            # Only where it may be the deepest of a robot's motion, contact is measured at the triangles.
-            some = depth > np.maximum(contacts[rows], 0.0) - FIELD_ERROR_MM
-            depth[some] = -measure_clearance(walls, points[some], radius[some]).min(axis=1)
-            contacts[rows] = np.maximum(contacts[rows], depth)
-    lost |= follower.snapped | follower.gone
+        clear = measure_clearance(file.walls, *body.find_places(PLACES_MM), known=-contacts[rows, None])
+        contacts[rows] = np.maximum(contacts[rows], -clear.min(axis=1))
+    lost |= follower.snapped
     tips[lost] = contacts[lost] = errors[lost] = np.nan
-    return {"lost": lost, "tips": tips, "contacts": contacts, "errors": errors}
+    return {"lost": lost[1:], "tips": tips[1:], "contacts": contacts[1:], "errors": errors[1:]}
 
 
 def _judge_samples(found: CheckResult, samples: dict[str, Array]) -> CheckResult:
@@ -442,11 +427,3 @@ def _judge_samples(found: CheckResult, samples: dict[str, Array]) -> CheckResult
     findings = found.findings | {"holds": judge(share >= needed, share, share - needed, why)}
     borderline = int((kept & near).sum())
     return replace(found, findings=findings, moved=len(kept), borderline=borderline, samples=samples)
-
-
-def compute_dominant_shapes(file: PlanFile) -> Array:
-    """Return the shapes (T, 101, 3), mm, of a plan's motion on the dominant stiffness model."""
-    alpha, beta, theta = (file.arrays[name].T for name in ("alpha", "beta", "theta"))
-    tubes = make_dominant(file.tubes).repeat(alpha.shape[1])
-    twist = integrate(tubes, alpha, beta, np.zeros_like(alpha), sensitivities=False)
-    return compute_body(twist, theta).interpolate(SIGMA)

@@ -15,13 +15,14 @@ import numpy as np
 from ctr_nlp.check.tubes import Array, Tubes, read_tubes
 from ctr_nlp.check.walls import Wall, read_walls
 
-NEEDED_ARRAYS = (
+FRAME_ARRAYS = (
     *("time", "alpha", "beta", "theta", "target", "target_direction", "shape"),
-    *("success", "kkt", "stability", "stability_between", "to_robot"),
+    *("success", "kkt", "stability", "stability_between"),
 )
+"""Arrays of every plan, with a row a frame."""
 DIGESTED_ARRAYS = (
     *("solve_time", "objective", "tip_direction", "lumen", "lumen_radius", "clearance", "clearance_between"),
-    *("wall_clearance", "wall_clearance_between", "truth", "free", *NEEDED_ARRAYS),
+    *("wall_clearance", "wall_clearance_between", "truth", "free", "to_robot", *FRAME_ARRAYS),
 )
 """Arrays that the digest covers, besides those of samples and of walls; a file may hold others."""
 DIGESTED_PREFIXES = "draws_", "walls_"
@@ -93,17 +94,14 @@ def read_plan_file(path: str | Path) -> PlanFile:
             arrays = {name: data[name] for name in data.files}
         text, saved = str(arrays.pop("meta")), arrays.pop("digest", None)
         meta = json.loads(text)
+        missing = [*({*FRAME_ARRAYS, "to_robot"} - {*arrays}), *({"robot", "problem", "model"} - {*meta})]
+        if missing:
+            raise ValueError(f"it is no plan, as it has no {', '.join(sorted(missing))}")
+        frames = {len(arrays[name]) for name in FRAME_ARRAYS}
+        if len(frames) > 1 or 0 in frames:
+            raise ValueError(f"it is damaged, with arrays of {sorted(frames)} frames instead of one number")
     except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise CheckError(f"{path} cannot be read as a plan: {error}") from error
-    missing = [name for name in NEEDED_ARRAYS if name not in arrays]
-    if missing or not isinstance(meta, dict) or not {"robot", "problem", "model"} <= set(meta):
-        what = ", ".join(missing) or "robot, problem and model in meta"
-        raise CheckError(f"{path} is no plan: it has no {what}")
-    frames = {len(np.atleast_1d(arrays[name])) for name in NEEDED_ARRAYS if name != "to_robot"}
-    if len(frames) > 1 or 0 in frames:
-        raise CheckError(
-            f"{path} is damaged: its arrays have {sorted(frames)} frames; all must have the same number"
-        )
     found = hashlib.sha256(text.encode(errors="backslashreplace"))
     for name, array in sorted(arrays.items()):
         if name in DIGESTED_ARRAYS or name.startswith(DIGESTED_PREFIXES):

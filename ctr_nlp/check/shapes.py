@@ -30,30 +30,25 @@ class RobotShape:
     radius: Array
 
     def interpolate(self, sigma: Array) -> Array:
-        """Return points (n, m, 3) mm at parts sigma (m,) of the whole length."""
+        """Return points (n, m, 3) mm at parts sigma (m,) or (n, m) of the whole length."""
         s = sigma * self.s[-1][:, None]
         # The last end at or before s; steps of length 0, where two tubes end together, are passed over.
         step = np.clip((self.s[:, :, None] <= s[None]).sum(axis=0) - 1, 0, len(self.s) - 2)
         rows = np.arange(len(s))[:, None]
         h = self.s[step + 1, rows] - self.s[step, rows]
         z = np.clip((s - self.s[step, rows]) / np.maximum(h, 1e-12), 0.0, 1.0)
-        return self.points_in_steps(step, rows, z)
+        ends = [each[at, rows] for at in (step, step + 1) for each in (self.points, self.tangents)]
+        return interpolate_cubic(z[..., None], h[..., None], *ends)
 
     def find_places(self, spacing: float) -> tuple[Array, Array]:
         """Return points (n, m, 3), mm, at most `spacing` apart, and the radii (n, m) of the robots there.
 
         Both ends of every step count: where a tube ends, the place belongs to the wider tube as well.
         """
-        parts = int(np.ceil(np.diff(self.s, axis=0).max() / spacing))
-        step = np.repeat(np.arange(len(self.radius)), parts + 1)
-        fraction = np.tile(np.linspace(0, 1, parts + 1), len(self.radius))
-        return self.points_in_steps(step, np.arange(self.s.shape[1])[:, None], fraction), self.radius[step].T
-
-    def points_in_steps(self, step: Array, row: Array, fraction: Array) -> Array:
-        """Return points (.., 3) mm at fractions (..,) of steps (..,) of robots (..,)."""
-        h = (self.s[step + 1, row] - self.s[step, row])[..., None]
-        ends = [each[at, row] for at in (step, step + 1) for each in (self.points, self.tangents)]
-        return interpolate_cubic(fraction[..., None], h, *ends)
+        h = np.diff(self.s, axis=0)[:, None]
+        fractions = np.linspace(0, 1, int(np.ceil(h.max() / spacing)) + 1)
+        sigma = ((self.s[:-1, None] + fractions[:, None] * h) / self.s[-1]).reshape(-1, len(self.s[-1]))
+        return self.interpolate(sigma.T), np.repeat(self.radius, len(fractions), axis=0).T
 
 
 def compute_body(twist: Twist, theta: Array) -> RobotShape:
@@ -74,5 +69,5 @@ def compute_body(twist: Twist, theta: Array) -> RobotShape:
     bent = d1[:-1] * start.real + d2[:-1] * start.imag - d1[1:] * end.real - d2[1:] * end.imag
     steps = h / 2 * (t[:-1] + t[1:]) + h**2 / 12 * bent
     points = np.cumsum(np.concatenate([np.zeros_like(steps[:1]), steps]), axis=0)
-    radius = np.where(twist.h > 0, np.take_along_axis(twist.tubes.radius, twist.outermost, axis=0), 0.0)
-    return RobotShape(twist.s, points, t, radius)
+    outermost = np.take_along_axis(twist.tubes.radius, twist.present.argmax(axis=1), axis=0)
+    return RobotShape(twist.s, points, t, np.where(twist.h > 0, outermost, 0.0))

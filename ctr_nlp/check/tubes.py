@@ -71,7 +71,7 @@ def read_tubes(robot: dict, parts: Array | None = None) -> Tubes:
         EI / GJ, curved length in mm and the motor's zero in rad. One robot as described by default.
     """
     rows = robot["tubes"]
-    parts = np.zeros((1, len(rows), 5)) if parts is None else np.asarray(parts, dtype=float)
+    parts = np.zeros((1, len(rows), 5)) if parts is None else parts
     curvature, stiffness, ratio, longer, zero = np.moveaxis(parts, (2, 1), (0, 1))
 
     def column(name: str) -> Array:
@@ -113,27 +113,22 @@ def interpolate_cubic(z: Any, h: Array, start: Array, slope: Array, end: Array, 
 class Twist:
     """Tubes that are integrated from the base.
 
-    bounds (P + 1, n): ends of the pieces of the body, mm. s (N + 1, n): ends of the steps. outermost (N, n):
-    number of the outermost tube on each step. bends (N, d, n): whether tube i is curved there. total (N, n): sum
-    of the EI of the tubes that are there. psi, rate (N + 1, d, n): psi_i and psi_i' at the ends of steps.
-    sensitivity (n, d, d): derivatives of psi_i'(beta_i) by psi_j'(0), (n, d, 0) where they were not asked for.
+    bounds (P + 1, n): ends of the pieces of the body, mm. s (N + 1, n), h (N, n): ends and lengths of the steps,
+    mm. present (N, d, n): whether tube i is there on each step. total (N, n): sum of the EI of the tubes that are
+    there. psi, rate (N + 1, d, n): psi_i and psi_i' at the ends of steps. sensitivity (n, d, d): derivatives of
+    psi_i'(beta_i) by psi_j'(0), (n, d, 0) where they were not asked for.
     """
 
     tubes: Tubes
     beta: Array
     bounds: Array
     s: Array
-    outermost: Array
-    bends: Array
+    h: Array
+    present: Array
     total: Array
     psi: Array
     rate: Array
     sensitivity: Array
-
-    @property
-    def h(self) -> Array:
-        """Lengths of steps (N, n), mm."""
-        return np.diff(self.s, axis=0)
 
     @property
     def tip_angles(self) -> Array:
@@ -141,23 +136,21 @@ class Twist:
         # Beyond its tip a tube is carried on without a moment, at the rate that it has there.
         return self.psi[-1] - self.rate[-1] * (self.s[-1] - self.beta)
 
-    def angles(self, z: float) -> Array:
-        """psi_i (N, d, n), rad, at a fraction z of every step."""
-        return interpolate_cubic(z, self.h[:, None], self.psi[:-1], self.rate[:-1], self.psi[1:], self.rate[1:])
-
     def pulls(self, z: float) -> Array:
         """EI_i k_i e_i (N, d, n), as complex numbers, at a fraction z of every step."""
-        untwisted = _pulls_untwisted(self.tubes, self.beta, self.bends, self.s[:-1] + z * self.h)
-        return untwisted * np.exp(1j * self.angles(z))
+        untwisted = _pulls_untwisted(self.tubes, self.beta, self.s, z)
+        ends = self.psi[:-1], self.rate[:-1], self.psi[1:], self.rate[1:]
+        return untwisted * np.exp(1j * interpolate_cubic(z, self.h[:, None], *ends))
 
     def bending(self, z: float) -> Array:
         """The bending vectors u (N, n), 1/mm, as complex numbers, at a fraction z of every step."""
         return self.pulls(z).sum(axis=1) / self.total
 
 
-def _pulls_untwisted(tubes: Tubes, beta: Array, bends: Array, s: Array) -> Array:
-    """EI_i k_i e_i (N, d, n) of tubes whose psi is 0, at arc lengths s (N, n); bends: where they are curved."""
-    from_tip = beta - s[:, None]
+def _pulls_untwisted(tubes: Tubes, beta: Array, s: Array, z: float) -> Array:
+    """EI_i k_i e_i (N, d, n) of tubes whose psi is 0, at a fraction z of every step between s (N + 1, n)."""
+    middle, from_tip = (beta - (s[:-1] + part * np.diff(s, axis=0))[:, None] for part in (0.5, z))
+    bends = (middle > 0) & (middle < tubes.curved)
     growth = (tubes.root - tubes.tip) / np.maximum(tubes.curved, 1e-9)
     strength = np.where(bends, tubes.bending * (tubes.tip + growth * from_tip), 0.0)
     return strength * np.exp(1j * tubes.helix * (tubes.curved - from_tip))
@@ -176,12 +169,10 @@ def integrate(tubes: Tubes, alpha: Array, beta: Array, rates: Array, sensitiviti
     part = np.concatenate([np.arange(count) / count for count in counts])
     s = np.concatenate([bounds[piece] + part[:, None] * np.diff(bounds, axis=0)[piece], bounds[-1:]])
     steps = np.diff(s, axis=0)
-    middle = (s[:-1] + steps / 2)[:, None]
-    present = middle < beta
-    bends = present & (middle > beta - tubes.curved)
+    present = (s[:-1] + steps / 2)[:, None] < beta
     total = np.where(present, tubes.bending, 0.0).sum(axis=1)
     total = np.where(total > 0, total, 1.0)
-    untwisted = [_pulls_untwisted(tubes, beta, bends, s[:-1] + z * steps) for z in (0.0, 0.5, 1.0)]
+    untwisted = [_pulls_untwisted(tubes, beta, s, z) for z in (0.0, 0.5, 1.0)]
 
     def second_derivative(y: Array, k: int, half: int) -> Array:
         """Return y'' at the start, middle or end (half = 0, 1, 2) of step k."""
@@ -208,4 +199,4 @@ def integrate(tubes: Tubes, alpha: Array, beta: Array, rates: Array, sensitiviti
         nodes.append((y[0], rate[0]))
     psi, turned = (np.array(each) for each in zip(*nodes, strict=True))
     sensitivity = np.moveaxis(rate[1:], (0, 1, 2), (2, 1, 0))
-    return Twist(tubes, beta, bounds, s, present.argmax(axis=1), bends, total, psi, turned, sensitivity)
+    return Twist(tubes, beta, bounds, s, steps, present, total, psi, turned, sensitivity)

@@ -8,6 +8,7 @@ triangles of the surface, the clearances that decide are measured at these.
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -33,17 +34,15 @@ BLOCK_CELLS = 8
 class LumenWall:
     """The wall of a lumen, from a table (N, 4) of x, y, z and radius, mm.
 
-    The path is a polyline through the table's points, of which each part is divided finely, and the nearest place
-    is looked for on the two parts beside the nearest point.
+    The path through the table's points is divided evenly and finely, and the nearest place is looked for on the
+    two parts beside the nearest point.
     """
 
     kept_out = False
 
     def __init__(self, table: Array) -> None:
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(table[:, :3], axis=0), axis=1))])
-        even = np.linspace(0, along[-1], int(np.ceil(along[-1] / WALL_SPACING_MM)) + 1)
-        fine = np.unique(np.concatenate([along, even]))
-        fine = fine[np.diff(fine, prepend=-1.0) > 1e-9]
+        fine = np.linspace(0, along[-1], int(np.ceil(along[-1] / WALL_SPACING_MM)) + 1)
         self._table = np.stack([np.interp(fine, along, column) for column in table.T], axis=-1)
         self._tree = cKDTree(self._table[:, :3])
 
@@ -136,16 +135,15 @@ class FieldWall:
         nearest = flat - _locate(self._grids[-1], flat)[1]
         found = np.full(len(flat), np.nan)
         for grid in self._grids:
-            todo = np.flatnonzero(np.isnan(found))
-            places, beyond = _locate(grid, nearest[todo])
-            blocks = grid["index"][tuple((places // BLOCK_CELLS).astype(int).T)]
-            blocks = np.where(abs(beyond).max(axis=1) > SAME_DISTANCE_MM, -1, blocks)
-            for block in np.unique(blocks[blocks >= 0]):
-                own = np.flatnonzero(blocks == block)
-                # A block's first coefficient belongs to the node before its first cell.
-                local = (places[own] % BLOCK_CELLS + 1).T
-                values = grid["coefficients"][block].astype(float)
-                found[todo[own]] = map_coordinates(values, local, order=3, prefilter=False, mode="nearest")
+            places, beyond = _locate(grid, nearest)
+            block = grid["index"][tuple((places // BLOCK_CELLS).astype(int).T)]
+            known = np.isnan(found) & (block >= 0) & (abs(beyond).max(axis=1) <= SAME_DISTANCE_MM)
+            # A block's first coefficient belongs to the node before its first cell. Blocks are laid end to end.
+            values = grid["coefficients"]
+            local = places[known].T % BLOCK_CELLS + 1
+            local[0] += block[known] * values.shape[1]
+            stacked = values.reshape(-1, *values.shape[2:])
+            found[known] = map_coordinates(stacked, local, float, order=3, prefilter=False, mode="nearest")
         found -= np.linalg.norm(flat - nearest, axis=1)
         return (self._sign * found - self._margin).reshape(points.shape[:-1])
 
@@ -163,7 +161,21 @@ Wall = LumenWall | FieldWall
 
 def read_walls(arrays: dict[str, Array], meta: dict[str, Any]) -> list[Wall]:
     """Return the walls in a plan's arrays and meta, an empty list without any."""
-    bodies = _read_bodies(arrays, meta.get("walls"))
+    rows: list[Any] = []
+
+    def resolve(part: dict[str, Any]) -> Any:
+        """Return what stands for a reference to a row, or for a number that JSON does not have."""
+        if "row" in part:
+            return rows[part["row"]]
+        return float(part["number"]) if "number" in part else part
+
+    def unpack(part: Any) -> Any:
+        return json.loads(json.dumps(part), object_hook=resolve)
+
+    packed = meta.get("walls", {"table": [], "bodies": []})
+    for row in packed["table"]:
+        rows.append(arrays["walls_" + row["array"]] if "array" in row else unpack(row.get("fields", {})))
+    bodies = unpack(packed["bodies"])
     walls: list[Wall] = [FieldWall(body) for body in bodies]
     # The lumen around the path is no wall where the robot stays inside of a body.
     if "lumen" in arrays and all(body["keep_out"] for body in bodies):
@@ -171,37 +183,17 @@ def read_walls(arrays: dict[str, Array], meta: dict[str, Any]) -> list[Wall]:
     return walls
 
 
-def _read_bodies(arrays: dict[str, Array], packed: dict[str, Any] | None) -> list[Any]:
-    """Resolve the table of rows in which a plan's meta describes its bodies, into nested dictionaries."""
-    rows: list[Any] = []
-
-    def resolve(part: Any) -> Any:
-        if isinstance(part, list):
-            return [resolve(item) for item in part]
-        if isinstance(part, dict):
-            return rows[part["row"]] if "row" in part else float(part["number"])
-        return part
-
-    for row in packed["table"] if packed else ():
-        fields = {name: resolve(part) for name, part in row.get("fields", {}).items()}
-        rows.append(arrays["walls_" + row["array"]] if "array" in row else fields)
-    return list(resolve(packed["bodies"])) if packed else []
-
-
-def measure_clearance(
-    walls: list[Wall], points: Array, radius: Array, exactly: bool = True, together: bool = False
-) -> Array:
+def measure_clearance(walls: list[Wall], points: Array, radius: Array, known: Array | float = np.inf) -> Array:
     """Return the clearance (n, m), mm, of points (n, m, 3) of n robots from the nearest of some walls.
 
-    radius (n, m): of the robots there, mm. exactly: whether places that may be the least of their robot are
-    measured at the triangles of the walls. together: only those that may be the least of all robots.
+    radius (n, m): of the robots there, mm. Where a place may be the nearest one of its robot, and nearer than is
+    known of the robots (n, 1) already, it is measured at the triangles of the walls.
     """
     found = np.full(radius.shape, np.inf)
     for wall in walls:
         clear = wall.left(points) - radius
-        if exactly:
-            least = clear.min(axis=None if together else 1, keepdims=True)
-            small = clear <= np.minimum(least + FIELD_ERROR_MM, MEASURED_MM)
-            clear[small] = wall.left_exactly(points[small]) - radius[small]
+        least = np.minimum(clear.min(axis=1, keepdims=True), known)
+        small = clear <= np.minimum(least + FIELD_ERROR_MM, MEASURED_MM)
+        clear[small] = wall.left_exactly(points[small]) - radius[small]
         found = np.minimum(found, clear)
     return found

@@ -92,6 +92,11 @@ def test_dominant_plan_is_checked_on_both_models(tmp_path):
     elastic = plan.evaluate_on("elastic").shape
     assert not found.snaps
     np.testing.assert_allclose(found.shape, elastic, atol=1e-3)
+    for part in (plan, plan.reversed(), plan[3:]):
+        part.save(path)
+        assert words(path)["clearances"] == YES
+        replace(part, clearance_between=part.clearance_between + 0.2).save(path)
+        assert words(path)["clearances"] == NO
 
 
 @pytest.mark.hazard("what was not checked reads as passed")

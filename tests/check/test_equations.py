@@ -4,11 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from after_snaps import settle
 from scipy.optimize import brentq
 
 from ctr_nlp.check.checker import NO, NOT_COVERED, YES, _judge_limits, examine_motion
-from ctr_nlp.check.motions import CONVERGED_RATE, Follower, move_nominal, move_through
+from ctr_nlp.check.motions import CONVERGED_RATE, Follower, find_ways, move_nominal
 from ctr_nlp.check.plan_file import PlanFile
 from ctr_nlp.check.shapes import RobotShape, compute_body
 from ctr_nlp.check.stability import compute_stability_margins
@@ -69,8 +68,8 @@ def test_shapes_and_margins_agree_with_reference(shared_data):
         assert compute_stability_margins(twist)[0] == pytest.approx(case["stability_margin"], abs=2e-4)
         assert np.linalg.det(twist.sensitivity[0]) == pytest.approx(case["stability_det"], rel=5e-3)
         if "opposed" not in case.get("kind", "") and number % 3 == 0:
-            moved = move_nominal(twist.tubes, np.concatenate([alpha, beta, theta])[:, 0][None], substeps=2)
-            np.testing.assert_allclose(moved.rates[0, -1], rates[:, 0], atol=1e-7)
+            _, moved, _ = move_nominal(twist.tubes, np.concatenate([alpha, beta, theta])[:, 0][None], substeps=2)
+            np.testing.assert_allclose(moved[0, -1], rates[:, 0], atol=1e-7)
 
 
 def test_tip_angle_is_the_angle_at_a_tubes_own_tip():
@@ -146,73 +145,48 @@ def test_turning_a_tube_snaps_where_opposed_pair_is_unstable():
     for curvature in (0.005, 0.015):
         tubes = read_tubes(pair_of_tubes(curvature))
         opposed = integrate(tubes, np.array([[np.pi], [0.0]]), np.full((2, 1), 50.0), np.zeros((2, 1)))
-        motion = move_nominal(tubes, turning(40, 2 * np.pi, 50.0), substeps=4, settle=settle)
-        snaps[bool(compute_stability_margins(opposed)[0] > 0)] = len(motion.snaps)
-        assert np.isfinite(motion.rates).all()
-        # After a whole turn the tubes are aligned again, whichever way they went.
-        apart = motion.tip_angles[-1, -1] @ [1, -1]
-        assert apart == pytest.approx(2 * np.pi, abs=TIP_RAD)
+        q = turning(40, 2 * np.pi, 50.0)
+        _, rates, frames = move_nominal(tubes, q, substeps=4)
+        stable = bool(compute_stability_margins(opposed)[0] > 0)
+        snaps[stable] = len(frames)
+        # A robot has shapes up to the snap, and none from there on.
+        known = np.isfinite(rates).all(axis=(1, 2))
+        assert known.tolist() == [stable or k < frames[0] - 1 for k in range(40)]
+        if stable:
+            # After a whole turn the tubes are aligned again.
+            last = integrate(tubes, q[-1:, :2].T, q[-1:, 2:4].T, rates[-1, -1][:, None])
+            assert last.tip_angles[:, 0] @ [1, -1] == pytest.approx(2 * np.pi, abs=TIP_RAD)
     assert snaps == {True: 0, False: 1}
 
 
-def slipping():
-    """A robot of two tubes, and a motion on which it leaves its branch by less than a snap."""
-
-    def opposed_margin(curvature):
-        tubes = read_tubes(pair_of_tubes(curvature))
-        opposed = np.array([[np.pi], [0.0]])
-        return compute_stability_margins(integrate(tubes, opposed, np.full((2, 1), 50.0), np.zeros((2, 1))))[0]
-
-    # Of tubes that are hardly more curved than those that turn all round, the fold is next to nothing.
-    robot = pair_of_tubes(1.0005 * brentq(opposed_margin, 0.005, 0.015))
-    q = turning(26, 0.0, 50.0)
-    q[:, 0] = [*np.linspace(0, 3.1, 6), *np.linspace(3.11, 3.2, 20)]
-    return robot, q
+def move(follower, q):
+    """Angles of the tips (T, d, n) of robots that are moved through q."""
+    return np.array([follower.angles.copy() for _ in follower.move(find_ways(q, len(follower.snapped)))])
 
 
-def test_a_robot_that_slips_has_not_snapped():
-    robot, q = slipping()
-    follower, unsettled = (Follower(read_tubes(robot), 0.0, settle=rest) for rest in (settle, None))
-    for each in (follower, unsettled):
-        for _ in move_through(each, q):
-            pass
-    assert (follower.snapped[0], follower.gone[0]) == (False, False)
-    assert (unsettled.snapped[0], unsettled.gone[0]) == (True, True)
-
-
-def test_samples_that_slip_are_not_lost():
-    robot, q = slipping()
-    tolerances = {"tip_force": 0.0, "distribution": "uniform", "covariance": None}
-    arrays = {"alpha": q[:, :2], "beta": q[:, 2:4], "theta": q[:, 4:], "time": np.arange(1.0, 27.0)}
-    arrays |= {"success": np.ones(26, dtype=bool), "kkt": np.zeros(26), "target": np.zeros((26, 101, 3))}
-    arrays |= {"target_direction": np.tile([0.0, 0, 1], (26, 1))}
-    arrays |= {"draws_parts": np.zeros((2, 2, 5)), "draws_lags": np.zeros((2, 2))}
-    limits = {"alpha": [["-inf", "inf"]], "theta": [-3.0, 3.0]}
-    meta = {"robot": robot | {"limits": limits, "tolerances": tolerances}, "model": "elastic", "problem": {}}
-    found = examine_motion(PlanFile(arrays, meta, None, ""), 2, settle)
-    assert found.snaps == []
-    assert found.samples["lost"].tolist() == [False, False]
+def nominal_tips(tubes, q):
+    """Angles of the tips (T, d) of one robot that is moved through q."""
+    _, rates, _ = move_nominal(tubes, q)
+    found = integrate(tubes.repeat(len(q)), q[:, :2].T, q[:, 2:4].T, rates[:, -1].T, sensitivities=False)
+    return found.tip_angles.T
 
 
 def test_samples_move_as_the_nominal_robot():
     robot = pair_of_tubes(0.01)
     q = turning(12, 2.0, 40.0)
-    motion = move_nominal(read_tubes(robot), q)
-    follower = Follower(read_tubes(robot, np.zeros((3, 2, 5))), 0.0)
-    found = np.array([follower.angles.copy() for _ in move_through(follower, q)])
+    follower = Follower(read_tubes(robot, np.zeros((3, 2, 5))))
+    found = move(follower, q)
     assert not follower.snapped.any()
-    np.testing.assert_allclose(found, motion.tip_angles[:, -1, :, None] + np.zeros(3), atol=TIP_RAD)
+    wanted = nominal_tips(read_tubes(robot), q)
+    np.testing.assert_allclose(found, wanted[..., None] + np.zeros(3), atol=TIP_RAD)
 
 
 def test_long_steps_are_cut_until_newton_leads_on():
     """Tubes that turn by more than a radian from frame to frame reach the same place, and do not snap."""
     tubes = read_tubes(pair_of_tubes(0.005))
-    followers = [Follower(tubes, 0.0) for _ in range(2)]
-    for follower, frames in zip(followers, (3, 61), strict=True):
-        for _ in move_through(follower, turning(frames, 2.5, 40.0)):
-            pass
-        assert (follower.snapped[0], follower.gone[0]) == (False, False)
-    np.testing.assert_allclose(followers[0].angles, followers[1].angles, atol=TIP_RAD)
+    few, many = (move(Follower(tubes), turning(frames, 2.5, 40.0)) for frames in (3, 61))
+    assert np.isfinite(few).all()
+    np.testing.assert_allclose(few[-1], many[-1], atol=TIP_RAD)
 
 
 def test_samples_of_a_robot_that_snaps_are_not_compared_with_it():
@@ -235,7 +209,7 @@ def test_play_is_an_offset_while_motors_turn_one_way():
     parts[1, 0, 4] = -lag
     lags = np.array([[lag, 0.0], [0.0, 0.0]])
     follower = Follower(read_tubes(robot, parts), 0.0, lags)
-    found = [follower.angles.copy() for _ in move_through(follower, turning(12, 2.0, 40.0))]
+    found = move(follower, turning(12, 2.0, 40.0))
     np.testing.assert_allclose(found[-1][:, 0], found[-1][:, 1], atol=TIP_RAD)
     assert abs(found[0][0, 0] - found[0][0, 1]) > lag / 2  # at first the play is not taken up
 
@@ -243,10 +217,9 @@ def test_play_is_an_offset_while_motors_turn_one_way():
 def test_robots_begin_aligned_with_the_innermost_tube():
     tubes = read_tubes(pair_of_tubes(0.01))
     q = turning(2, 1.0, 40.0) + np.array([0.0, 0.4, 0, 0, 0, 0])
-    motion = move_nominal(tubes, q)
     follower = Follower(tubes, 0.4)
-    *_, last = (follower.angles.copy() for _ in move_through(follower, q))
-    np.testing.assert_allclose(last[:, 0], motion.tip_angles[-1, -1], atol=TIP_RAD)
+    last = move(follower, q)[-1]
+    np.testing.assert_allclose(last[:, 0], nominal_tips(tubes, q)[-1], atol=TIP_RAD)
     assert follower.tube[:, 0] == pytest.approx([1.0, 0.4])
 
 
