@@ -229,7 +229,13 @@ def measure_motion(file: PlanFile, findings: dict[str, Finding], tubes: Tubes, q
         points[chosen], tips[chosen] = body.interpolate(SIGMA), body.tangents[-1]
         if np.isfinite(tubes.torsional).all():  # others do not twist, so that they have no margin
             margin[chosen] = compute_stability_margins(twist)
-        clearance[chosen] = measure_clearance(walls, points[chosen], find_radius(beta, twist.tubes.radius))
+        clear = measure_clearance(walls, points[chosen], find_radius(beta, twist.tubes.radius))
+        # Where an outer tube ends between two points, the first of them has the least of itself and that end.
+        ends = (beta[:-1] / beta[-1]).T
+        before = np.minimum((ends * (len(SIGMA) - 1) + 1e-9).astype(int), len(SIGMA) - 2)
+        at_ends = measure_clearance(walls, body.interpolate(ends), twist.tubes.radius[:-1].T)
+        np.minimum.at(clear, (np.arange(len(clear))[:, None], before), at_ends)
+        clearance[chosen] = clear
         for k, wall in enumerate(walls):
             clear = measure_clearance([wall], *body.find_places(PLACES_MM), known=-deepest[k])
             deepest[k] = max(deepest[k], -clear.min())

@@ -20,7 +20,7 @@ from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
 from ctr_nlp.plan.plan_data import WALL_FORCE_ARRAYS
 from ctr_nlp.plan.simulation import Simulation, Simulator, shapes_between
 from ctr_nlp.robot import Robot
-from ctr_nlp.typing import Array, Flags
+from ctr_nlp.typing import Array, Flags, Index
 
 PLANNED_BRANCH_TOLERANCE_RAD = 0.05
 """rad: a robot whose tubes are turned by more from what was planned is in another equilibrium."""
@@ -140,16 +140,38 @@ def clearance_from_wall(
     -------
     ndarray
         Clearance (.., T, 101), mm; negative beyond the wall or its margin. Where a body's triangles are known,
-        points that may be the least over `axes` are measured at these.
+        points that may be the least over `axes` are measured at these. Where an outer tube ends between two
+        points, the first of them has the least of itself and that end.
     """
     alone = Walls(None, (part,)) if isinstance(part, Body) else part
-    clear = WallDistance(alone).clearances(robot, beta, shape, SIGMA_GRID)
+    points, radii, before = _with_tube_ends(robot, beta, shape)
+    clear = WallDistance(alone)(points) - radii
     if isinstance(part, Body) and part.surface is not None:
         least = np.fmin.reduce(clear, axis=axes, keepdims=True)
         small = clear < np.minimum(least + FIELD_ERROR_MM, MEASURED_CLEARANCE_MM)
-        radii = np.broadcast_to(outermost_tube_radii(robot, beta, SIGMA_GRID), clear.shape)
-        clear[small] = part.room(shape[small]) - radii[small]
-    return clear
+        clear[small] = part.room(points[small]) - np.broadcast_to(radii, clear.shape)[small]
+    for tube, place in enumerate(before.T):
+        at = (..., np.arange(len(beta)), place)
+        clear[at] = np.fmin(clear[at], clear[..., len(SIGMA_GRID) + tube])
+    return clear[..., : len(SIGMA_GRID)]
+
+
+def _with_tube_ends(robot: Robot, beta: Array, shape: Array) -> tuple[Array, Array, Index]:
+    """Return points of robots followed by the ends of their outer tubes, the radii there, and where the ends are.
+
+    beta: extensions (T, d), mm. shape: (.., T, 101, 3), mm. Points are (.., T, 101 + d - 1, 3), radii of the
+    outermost tubes (T, 101 + d - 1), mm; the last has for each end the number of the point before it, (T, d - 1).
+    """
+    count, last = len(beta), len(SIGMA_GRID) - 1
+    ends = beta[:, :-1] / np.maximum(beta[:, -1:], np.finfo(float).tiny)
+    # At its own end, a tube is still the outermost.
+    radii = outermost_tube_radii(robot, beta, np.hstack([np.tile(SIGMA_GRID, (count, 1)), ends]))
+    before = np.minimum((last * ends + 1e-9).astype(int), last - 1)
+    part = (last * ends - before)[..., None]
+    frames = np.arange(count)[:, None]
+    # Points are a mm or two apart, so that the line between them is within 0.02 mm of the robot.
+    between = (1 - part) * shape[..., frames, before, :] + part * shape[..., frames, before + 1, :]
+    return np.concatenate([shape, between], axis=-2), radii, before
 
 
 def clearances_between(robot: Robot, q: Array, model: str | Model, wall: WallGeometry) -> Array:

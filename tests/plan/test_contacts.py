@@ -9,10 +9,13 @@ import pytest
 from matplotlib.image import imread
 from test_metrics_plan import made
 
+from ctr_nlp import Robot, Tube
 from ctr_nlp.cli import plan_report
+from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.plan.measures import Contact, contact_depths, contacts
 from ctr_nlp.plan.metrics import by_frame, summary
+from ctr_nlp.plan.motion_evaluation import wall_clearances
 from ctr_nlp.view.figures import clearance as picture
 from ctr_nlp.view.figures import save, save_all
 
@@ -229,3 +232,18 @@ def test_axes_carry_units():
 def test_where_no_wall_is_known_there_is_no_picture(tmp_path):
     paths = save_all(replace(touching(1, 1), clearance=None, lumen=None), tmp_path)
     assert "clearance.png" not in [path.name for path in paths]
+
+
+def test_the_wide_end_of_a_tube_between_two_points_counts():
+    """In a lumen that narrows, a straight tube is nearest to the wall at its end, wherever the points are."""
+    robot = Robot((Tube(90, 50, 0.0, 2.4, 1.8), Tube(200, 100, 0.0, 1.6, 1.0)))
+    z = np.linspace(0.0, 101.0, 203)
+    lumen = Lumen(np.column_stack([0 * z, 0 * z, z, 4.0 - 0.03 * z]))
+    beta = np.array([[40.0, 100.0], [40.6, 100.0], [100.0, 100.0]])
+    shape = np.zeros((3, 101, 3))
+    shape[..., 2] = np.linspace(0.0, 100.0, 101)
+    (found,) = np.moveaxis(wall_clearances(robot, lumen, beta, shape), 1, 0)
+    for frame, end in enumerate((40.0, 40.6, 100.0)):
+        assert found[frame, min(int(end), 99)] == pytest.approx(4.0 - 0.03 * end - 1.2, abs=1e-6)
+    assert found[1, 40] < found[0, 40]
+    assert found[1, 41] == found[0, 41]

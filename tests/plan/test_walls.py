@@ -67,6 +67,9 @@ def test_the_nearest_of_two_bodies_counts(problem):
     expected = np.minimum(clearances(plan, tube), clearances(plan, lambda points: -ball(points)))
     # On the axis of the tube the distance has an edge, which a smooth field rounds off.
     off_axis = np.linalg.norm(plan.shape[..., :2], axis=-1) > 2 * CELL
+    # Where an outer tube ends between two points, the first of them has the clearance of that end.
+    frames = np.arange(len(plan.beta))[:, None]
+    off_axis[frames, (100 * plan.beta[:, :-1] / plan.beta[:, -1:]).astype(int).clip(max=99)] = False
     assert off_axis.sum() > 50
     np.testing.assert_allclose(plan.clearance[off_axis], expected[off_axis], atol=0.06)
     assert (plan.clearance <= expected + 0.06).all()
