@@ -20,8 +20,7 @@ ELEMENT_LENGTH_MM = 2.5
 PARTS_PER_ELEMENT = 4
 """Parts of an element on each of which the wall's push is taken in the middle."""
 STIFFNESS_RATIO_PER_MM2 = 3.0
-"""Stiffness against stretching and shearing over that against bending, 1/mm^2: of a
-solid rod it is 16 / diameter^2."""
+"""Stiffness against stretching and shearing over that against bending, 1/mm^2: of a solid rod 16 / diameter^2."""
 TIME_STEP = 1.2
 """Step of time, where the fastest vibration has the rate 1; from 2 on it would grow."""
 RAMP_TIMES, MAX_TIMES = 3.0, 60.0

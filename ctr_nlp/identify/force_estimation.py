@@ -2,14 +2,26 @@
 
 The shape y of a robot at known motors q is measured with noise of standard deviation sigma in every coordinate.
 With h(F, G, s, u) the shape of the elastic robot under a force F at the tip and a force G at arc length s, and
-with deviations R u of its tubes (R R^T their covariance, from the robot's tolerances), the estimate minimises
+with deviations R u of its tubes (R R^T their covariance, from the robot's tolerances), the estimate is the
+posterior (Gelman et al., Bayesian Data Analysis, 2013) of
 
-    |y - h(F, G, s, u)|^2 / sigma^2  +  |u|^2,
+    y = h(F, G, s, u) + noise,   u normal with variance 1,
 
-which is the posterior's mode for a flat prior of the forces. Four explanations are compared: no force, a force
-at the tip, a force along the body, and both. A force is added only where it lowers the sum by more than chance
-does (likelihood ratio, FALSE_ALARM_RATE), and what remains must be as small as noise makes it. So a contact at
-mid-body is not reported as a force at the tip.
+under a prior that says: no force, one at the tip, one along the body and both are equally probable; a place is
+uniform along the body; a force has any direction, and its components are normal with a deviation
+FORCE_SCALES_N[k], all up to COMMON_FORCE_SCALE_N equally probable: forces are mostly 0.05 to 0.3 N, and large ones
+are rare, but possible.
+
+An explanation is one of the four kinds, for a force along the body with a piece of the robot near which it acts.
+For each, h is linearised at the posterior's mode, so that posterior and evidence are those of normal
+distributions. The reported forces are means over all explanations, weighted by their evidence, with the covariance
+within and between them: a force is not more certain than that it acts at all. Under the prior, as far as shapes
+are linear in the forces, errors over reported deviations have the mean square 1, whatever kind is reported.
+
+What is reported is the simplest kind that is not refuted, by a test with a known rate of false alarms: a force is
+added only where it lowers the sum of squares by more than chance does (likelihood ratio, FALSE_ALARM_RATE), and
+what remains must be as small as noise makes it. Where one force is enough and either place is possible, the more
+probable one is reported. So a contact at mid-body is not reported as a force at the tip.
 
 Forces are dead loads in the axes of the base. Rucker and Webster, Deflection-based force sensing for continuum
 robots, IROS 2011, estimate forces at the tip in this way from a measured tip.
@@ -20,6 +32,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -58,12 +71,22 @@ MAX_FORCE_STEP_N = 0.2
 """Largest change of a force in one step, N."""
 MIN_CURVATURE = 1e-9
 """Replaces 0 in denominators and on the diagonal of the normal equations."""
-FORCE_SCALE_N = 0.2
-"""Standard deviation of each component of a force beforehand, N: that of forces of tools and tissue."""
-SAME_PLACE_MM = 2.0
-"""Distance up to which two fits count as one place, mm."""
-MIN_PLACES_APART, PLACES_TRIED = 3, 3
-"""Pieces between two places from which fits begin, and number of these."""
+FORCE_SCALES_N = np.array([0.05, 0.1, 0.2, 0.4, 0.8])
+"""Standard deviations of the components of a force beforehand, N: from touching tissue to pulling a tool."""
+COMMON_FORCE_SCALE_N = 0.1
+"""Scale of common forces, 0.05 to 0.3 N, whose components have 0.11 N on the whole."""
+FORCE_SCALE_PROBABILITIES = np.minimum(1.0, COMMON_FORCE_SCALE_N / FORCE_SCALES_N) ** 3
+FORCE_SCALE_PROBABILITIES /= FORCE_SCALE_PROBABILITIES.sum()
+"""Probabilities of the scales: alike up to the common one, then falling with the cube, so that a force of 1 N is
+rare, but possible. A component has 0.1 N on the whole."""
+FITTED_FORCE_SCALE_N = 0.2
+"""Standard deviation with which the mode is found at which shapes are linearised, N."""
+PLACE_DEVIATION_PIECES = 0.5
+"""Standard deviation of a place around the middle of a piece, in lengths of it: the sum over pieces is uniform."""
+FORCE_UNKNOWNS = {NO_FORCE: 0, TIP: 3, BODY: 4, TIP_AND_BODY: 7}
+"""Number of unknowns of each kind of explanation."""
+PLACE_INDEX, FORCE_COUNT = 6, 7
+"""Index of the place among the unknowns, and number of those of forces and place."""
 NO_LENGTH_MM = 1e-9
 """Length of a piece below which no force is looked for on it."""
 
@@ -85,11 +108,12 @@ class ForceEstimate(ReadOnlyValue):
     force_covariance : (3, 3) array
         Its covariance, N^2: of the sensor's noise, the robot's tolerances, and the doubt about what acts.
     body_force : (3,) array
-        Force along the body, N; 0 where none acts.
+        Force along the body, N: its mean over all explanations, so that it is near 0 where none acts.
     body_covariance : (3, 3) array
         Its covariance, N^2.
     place, place_deviation : float
-        Arc length from the insertion point at which it acts, and its standard deviation, mm; NaN without one.
+        Arc length from the insertion point at which it acts, if it does, and its standard deviation, mm; NaN where
+        ``kind`` has none.
     probability : float
         Probability of a misfit at least as large, if the explanation is right.
     least_tip_force : float
@@ -99,6 +123,9 @@ class ForceEstimate(ReadOnlyValue):
     least_body_forces : (K,) array
         Least force across the body at these places, in its worst direction, that is told from a force at the tip
         in 95 of 100 cases, N.
+    body_information : (K, 3, 3) array
+        Information on a force along the body at these places beside a force at the tip, 1/N^2:
+        :meth:`least_body_force` has what it says of one direction.
     """
 
     kind: str
@@ -113,6 +140,34 @@ class ForceEstimate(ReadOnlyValue):
     least_tip_force: float
     places: Array
     least_body_forces: Array
+    body_information: Array
+
+    def least_body_force(self, place: float, direction: Array) -> float:
+        """Return the least force in one direction that is told from a force at the tip in 95 of 100 cases.
+
+        Parameters
+        ----------
+        place : float
+            Arc length from the insertion point, mm.
+        direction : (3,) array
+            Direction of the force in the axes of the base, of any length > 0.
+
+        Returns
+        -------
+        float
+            The force, N.
+
+        Raises
+        ------
+        MeasurementError
+            The direction has no length.
+        """
+        size = float(np.linalg.norm(direction))
+        if not 0 < size < math.inf:
+            raise MeasurementError(f"direction is {direction}; it must be three finite numbers that are not all 0")
+        unit = np.asarray(direction) / size
+        information = np.array([unit @ each @ unit for each in self.body_information])
+        return _least_force(float(np.interp(place, self.places, information)), len(self.places))
 
     @property
     def deviations(self) -> Array:
@@ -134,9 +189,14 @@ class ForceEstimate(ReadOnlyValue):
             "the tip and at one place along the body explains the shape",
         }
         told[TIP_AND_BODY] = f"{told[TIP]}; {told[BODY]}"
-        elsewhere = self.weights[BODY] + self.weights[TIP_AND_BODY]
-        if self.kind == TIP and elsewhere > FALSE_ALARM_RATE:
-            told[TIP] += f" (a force along the body is as good an explanation, with probability {elsewhere:.0%})"
+        others = {
+            TIP: ("along the body", self.weights[BODY] + self.weights[TIP_AND_BODY]),
+            BODY: ("at the tip", self.weights[TIP] + self.weights[TIP_AND_BODY]),
+        }
+        if self.kind in others:
+            where, probability = others[self.kind]
+            if probability > FALSE_ALARM_RATE:
+                told[self.kind] += f" (with probability {probability:.0%} a force acts {where}, too, or instead)"
         return told[self.kind]
 
     @property
@@ -315,79 +375,65 @@ class _Observation:
         """Return points, mm, and unit tangents (n, k, 3) of n equilibria at sigma (k,)."""
         return curves(self.structure, states.numbers, states.load, states.unknowns, sigma, self.kind)
 
-    def residuals(self, values: Array, u: Array) -> Array:
-        """Return weighted residuals (n, m + r) of predicted values (n, m), with those of the deviations."""
-        return np.hstack([(values - self.values) / self.scale, u])
-
-    def fit(self, has_tip: bool, has_body: bool, first: _Fit | None = None, place: float = math.nan) -> _Fit:
-        """Fit forces of a kind, from a first guess, by Levenberg's and Marquardt's method."""
-        return _Fit(self, has_tip, has_body).run(first, place)
-
     def explain(self) -> ForceEstimate:
         """Compare the explanations, and return the simplest one that is not refuted."""
-        none, tip = self.fit(False, False), self.fit(True, False)
-        bodies = self.body_fits(none, has_tip=False)
-        boths = self.body_fits(min((tip, *bodies), key=lambda each: each.misfit), has_tip=True)
-        fits = {NO_FORCE: [none], TIP: [tip], BODY: bodies, TIP_AND_BODY: boths}
-        kind = self.choose({name: min(each, key=lambda fit: fit.misfit) for name, each in fits.items()})
-        chosen = min(fits[kind], key=lambda fit: fit.misfit)
-        freedom = len(self.values) - chosen.force_count
-        probability = float(chi2.sf(chosen.misfit, max(freedom, 1)))
-        least_tip, least_body = self.least_detectable(tip)
-        force, covariance, weights = self.average(fits)
+        explanations = self.explanations
+        fits = _Fits(self, explanations).run()
+        best = {
+            kind: int(
+                np.flatnonzero(explanations.kinds == kind)[np.argmin(fits.misfit[explanations.kinds == kind])]
+            )
+            for kind in (NO_FORCE, TIP, BODY, TIP_AND_BODY)
+        }
+        found = fits.average()
+        kind = self.choose({name: float(fits.misfit[row]) for name, row in best.items()}, found.weights)
+        freedom = len(self.values) - FORCE_UNKNOWNS[kind]
+        probability = float(chi2.sf(fits.misfit[best[kind]], max(freedom, 1)))
+        if probability <= UNEXPLAINED_RATE:
+            kind = UNEXPLAINED
+        least_tip, information, least_body = self.least_detectable(fits, best[TIP])
+        placed = kind in (BODY, TIP_AND_BODY)
         return ForceEstimate(
-            kind=kind if probability > UNEXPLAINED_RATE else UNEXPLAINED,
-            weights=weights,
-            force=force,
-            force_covariance=covariance,
-            body_force=chosen.body,
-            body_covariance=chosen.force_covariance[3:6, 3:6],
-            place=chosen.place,
-            place_deviation=math.sqrt(chosen.force_covariance[6, 6]) if chosen.has_body else math.nan,
+            kind=kind,
+            weights=found.weights,
+            force=found.mean[:3],
+            force_covariance=found.covariance[:3, :3],
+            body_force=found.mean[3:],
+            body_covariance=found.covariance[3:, 3:],
+            place=found.place if placed else math.nan,
+            place_deviation=found.place_deviation if placed else math.nan,
             probability=probability,
             least_tip_force=least_tip,
             places=self.middles[self.useful],
             least_body_forces=least_body,
+            body_information=information,
         )
 
-    def average(self, fits: dict[str, list[_Fit]]) -> tuple[Array, Array, dict[str, float]]:
-        """Return mean (3,) and covariance (3, 3) of the force at the tip over all explanations, and their weights.
+    @cached_property
+    def explanations(self) -> _Explanations:
+        """All explanations: of forces along the body one for each piece."""
+        places, lengths = self.middles[self.useful], self.lengths[self.useful]
+        count = len(places)
+        kinds = np.array([NO_FORCE, TIP] + [BODY] * count + [TIP_AND_BODY] * count)
+        share = lengths / lengths.sum()
+        return _Explanations(
+            kinds=kinds,
+            probability=np.concatenate([[1.0, 1.0], share, share]) / 4,
+            place=np.concatenate([[0.0, 0.0], places, places]),
+            place_deviation=PLACE_DEVIATION_PIECES * np.concatenate([[1.0, 1.0], lengths, lengths]),
+        )
 
-        Bayesian model averaging: explanations are equally probable beforehand, forces normal with the deviation
-        FORCE_SCALE_N, or that of the largest force found, and places uniform along the body. So a force at the
-        tip is not more certain than that it acts there.
+    def choose(self, misfit: dict[str, float], weights: dict[str, float]) -> str:
+        """Return the kind of the simplest explanation to which no further force is worth adding.
+
+        misfit: least sum of squares of each kind. weights: probabilities of the kinds, which decide between a
+        force at the tip and one along the body where either is enough.
         """
-        found = max(abs(fit.tip).max() for each in fits.values() for fit in each)
-        scale = max(FORCE_SCALE_N, found)
-        kinds, evidence, means, covariances = [], [], [], []
-        for kind, each in fits.items():
-            for fit in _distinct(each):
-                log_evidence, mean, covariance = fit.evidence(scale)
-                kinds.append(kind)
-                evidence.append(log_evidence)
-                means.append(mean)
-                covariances.append(covariance)
-        parts = np.exp(np.array(evidence) - max(evidence))
-        parts /= parts.sum()
-        mean = parts @ np.array(means)
-        apart = np.array(means) - mean
-        # The law of total covariance: within each explanation, and between them.
-        spread = np.einsum("k,kij->ij", parts, np.array(covariances)) + np.einsum(
-            "k,ki,kj->ij", parts, apart, apart
-        )
-        weights = {
-            kind: float(sum(part for part, other in zip(parts, kinds, strict=True) if other == kind))
-            for kind in fits
-        }
-        return mean, spread, weights
-
-    def choose(self, fits: dict[str, _Fit]) -> str:
-        """Return the kind of the simplest explanation to which no further force is worth adding."""
 
         def worth(simple: str, full: str, freedom: int, tried: int = 1) -> bool:
             # Of many places the best is taken, which chance favours: the rate is shared between them (Bonferroni).
             bound = chi2.isf(FALSE_ALARM_RATE / tried, freedom)
-            return bool(fits[simple].misfit - fits[full].misfit > bound)
+            return bool(misfit[simple] - misfit[full] > bound)
 
         places = len(self.useful)
         if (
@@ -396,85 +442,70 @@ class _Observation:
             and not worth(NO_FORCE, TIP_AND_BODY, 6, places)
         ):
             return NO_FORCE
-        if not worth(TIP, TIP_AND_BODY, 3, places):
-            return TIP
-        return TIP_AND_BODY if worth(BODY, TIP_AND_BODY, 3) else BODY
+        enough = [TIP] if not worth(TIP, TIP_AND_BODY, 3, places) else []
+        enough += [BODY] if not worth(BODY, TIP_AND_BODY, 3) else []
+        return max(enough, key=lambda kind: weights[kind], default=TIP_AND_BODY)
 
-    def body_fits(self, base: _Fit, has_tip: bool) -> list[_Fit]:
-        """Fit a force along the body, from the places at which it helps most to first order."""
-        tried: list[int] = []
-        for k in np.argsort(-self.gains(base, has_tip)).tolist():
-            if len(tried) < PLACES_TRIED and all(abs(k - other) > MIN_PLACES_APART for other in tried):
-                tried.append(k)
-        return [self.fit(has_tip, True, base, float(self.middles[self.useful[k]])) for k in tried]
+    def body_slopes(self, states: States, values: Array) -> Array:
+        """Return derivatives (K, 3, m) of the weighted values over a force on each piece, at an equilibrium.
 
-    def body_slopes(self, base: _Fit) -> Array:
-        """Return derivatives (K, 3, m + r) of the residuals over a force on each piece, at a fit."""
+        states: of one row. values (m,): that it has.
+        """
         count = len(self.useful)
         rows = 3 * count
         place = np.repeat(self.middles[self.useful], 3)
         probes = np.tile(np.eye(3), (count, 1)) * STEPS["force"]
-        many = base.states.rows(np.zeros(rows, dtype=int))
+        many = states.rows(np.zeros(rows, dtype=int))
         # The fit keeps the forces that it has; the probe is added.
         at = many.load.copy()
         at[:, at.shape[1] - 6 * len(self.lengths) :] += self.pushes(probes, place)
         there, done = self.equilibria.follow_branches(many, many.q, at)
-        change = (self.values_of(there) - base.values) / STEPS["force"]
+        change = (self.values_of(there) - values) / STEPS["force"]
         slopes = np.where(done[:, None] == 1, change, 0.0) / self.scale
-        return np.hstack([slopes, np.zeros((rows, self.root.shape[1]))]).reshape(count, 3, -1)
+        return np.asarray(slopes.reshape(count, 3, -1))
 
-    def gains(self, base: _Fit, has_tip: bool) -> Array:
-        """Return by how much a force on each piece lowers the sum of squares, to first order, (K,)."""
-        kept = base.slopes if has_tip or not base.has_tip else base.slopes[3:]
-        if has_tip and not base.has_tip:
-            kept = np.vstack([self.tip_slopes(base), kept])
-        inside = _projector(kept)
-        gains = []
-        for slope in base.body_slopes:
-            free = slope - slope @ inside
-            gains.append(base.residual @ free.T @ np.linalg.pinv(free @ free.T) @ free @ base.residual)
-        return np.array(gains)
+    def least_detectable(self, fits: _Fits, tip: int) -> tuple[float, Array, Array]:
+        """Return the least force at the tip that is noticed with DETECTION_RATE, N, and what is known at K places.
 
-    def tip_slopes(self, base: _Fit) -> Array:
-        """Return derivatives (3, m + r) of the residuals over a force at the tip, at a fit."""
-        values, _ = self.predict(
-            base.states.rows(np.zeros(3, dtype=int)),
-            base.tip + STEPS["force"] * np.eye(3),
-            np.tile(base.body, (3, 1)),
-            np.full(3, base.place_or_zero),
-            np.tile(base.u, (3, 1)),
-        )
-        slopes = (values - base.values) / STEPS["force"] / self.scale
-        return np.hstack([slopes, np.zeros((3, self.root.shape[1]))])
-
-    def least_detectable(self, tip: _Fit) -> tuple[float, Array]:
-        """Return the least forces, N, that are noticed with DETECTION_RATE: at the tip, and at places (K,).
-
-        A force F n lowers the sum of squares by F^2 n' I n in the mean, with I its information beside what else is
-        unknown: this is compared with the noncentrality at which the likelihood ratio test has that power.
+        That is the information (K, 3, 3), 1/N^2, on a force there beside what else is unknown, and the least force
+        (K,), N, across the body. tip: number of the explanation by a force at the tip. A force F n lowers the sum
+        of squares by F^2 n' I n in the mean: this is compared with the noncentrality at which the likelihood ratio
+        test has that power.
         """
-        places = len(self.useful)
-        deviations = _projector(tip.slopes[3:])
-        free = tip.slopes[:3] - tip.slopes[:3] @ deviations
-        tangents = self.tangents_at(tip)
+        deviations = self.root.shape[1]
+        # Deviations of the tubes are known beforehand as if they were measured, too.
+        known = np.zeros((3 + deviations, deviations))
+        known[3:] = np.eye(deviations)
+        slopes = np.hstack([fits.slopes[tip][[0, 1, 2, *range(FORCE_COUNT, FORCE_COUNT + deviations)]], known])
+        states = fits.states.rows(slice(tip, tip + 1))
+        free = slopes[:3] - slopes[:3] @ _projector(slopes[3:])
+        tangents = self.tangents_at(states)
         # Across the body only: what pushes along it hardly bends it.
         across = np.linalg.svd(tangents[-1:])[2][1:]
-        least = np.linalg.eigvalsh(across @ free @ free.T @ across.T)[0]
-        at_tip = math.sqrt(_noncentrality(3, FALSE_ALARM_RATE) / max(least, 1e-300))
-        inside = _projector(tip.slopes)
-        needed = _noncentrality(3, FALSE_ALARM_RATE / places)
+        least = float(np.linalg.eigvalsh(across @ free @ free.T @ across.T)[0])
+        inside = _projector(slopes)
+        body = self.body_slopes(states, fits.values[tip])
+        body = np.concatenate([body, np.zeros((*body.shape[:2], deviations))], axis=2)
+        free = body - body @ inside
+        information = free @ np.swapaxes(free, 1, 2)
         found = []
-        for slope, tangent in zip(tip.body_slopes, tangents, strict=True):
-            free = slope - slope @ inside
+        for each, tangent in zip(information, tangents, strict=True):
             across = np.linalg.svd(tangent[None])[2][1:]
-            least = np.linalg.eigvalsh(across @ free @ free.T @ across.T)[0]
-            found.append(math.sqrt(needed / max(least, 1e-300)))
-        return at_tip, np.array(found)
+            found.append(_least_force(float(np.linalg.eigvalsh(across @ each @ across.T)[0]), len(self.useful)))
+        return _least_force(least), information, np.array(found)
 
-    def tangents_at(self, fit: _Fit) -> Array:
-        """Return the unit tangents (K, 3) of a fitted robot at the middles of its pieces."""
+    def tangents_at(self, states: States) -> Array:
+        """Return the unit tangents (K, 3) of a robot at the middles of its pieces; states: of one row."""
         sigma = self.middles[self.useful] / self.robot.split(self.q[None])[1][0, -1]
-        return self.curves_of(fit.states, sigma)[1][0]
+        return self.curves_of(states, sigma)[1][0]
+
+
+def _least_force(information: float, places: int = 1) -> float:
+    """Return the least force, N, that is noticed with DETECTION_RATE; information: on its size, 1/N^2.
+
+    places: number of places among which the best is taken, which chance favours.
+    """
+    return math.sqrt(_noncentrality(3, FALSE_ALARM_RATE / places) / max(information, 1e-300))
 
 
 def _projector(rows: Array) -> Array:
@@ -490,161 +521,201 @@ def _noncentrality(freedom: int, rate: float) -> float:
     return float(brentq(lambda x: ncx2.sf(bound, freedom, x) - DETECTION_RATE, 1e-6, 1e4))
 
 
-def _distinct(fits: list[_Fit]) -> list[_Fit]:
-    """Return fits without those that ended at the same place as a better one."""
-    kept: list[_Fit] = []
-    for fit in sorted(fits, key=lambda each: each.misfit):
-        if not any(abs(fit.place - other.place) < SAME_PLACE_MM for other in kept):
-            kept.append(fit)
-    return kept
+class _Explanations(NamedTuple):
+    """H explanations of a shape.
 
-
-class _Fit:
-    """A fit of forces of one kind to an observation; `run` makes it.
-
-    tip, body (3,): forces, N; 0 where there is none. place_or_zero: arc length of the force along the body, mm.
-    u (r,): deviations of the tubes. states: the equilibrium. values (m,): predicted values. residual (m + r,),
-    slopes (k, m + r): weighted residuals, and their derivatives over the k unknowns. misfit: the sum of squares.
+    kinds (H,). probability (H,): beforehand. place, place_deviation (H,): mean and standard deviation, mm,
+    beforehand, of the place of a force along the body.
     """
 
-    tip: Array
-    body: Array
-    place_or_zero: float
-    u: Array
-    states: States
-    values: Array
-    residual: Array
-    slopes: Array
-    misfit: float
+    kinds: Any
+    probability: Array
+    place: Array
+    place_deviation: Array
 
-    def __init__(self, of: _Observation, has_tip: bool, has_body: bool) -> None:
-        self.of, self.has_tip, self.has_body = of, has_tip, has_body
-        self.force_count = 3 * has_tip + 4 * has_body
-        self.place_index = 3 * has_tip + 3
-        kinds = ["force"] * 3 * has_tip + (["force"] * 3 + ["place"]) * has_body
-        kinds += ["deviation"] * of.root.shape[1]
-        self.steps = np.array([STEPS[kind] for kind in kinds])
-        self.is_force = np.array([kind == "force" for kind in kinds], dtype=bool)
 
-    def split(self, z: Array) -> tuple[Array, Array, Array, Array]:
-        """Split unknowns z (n, k) into tip, body (n, 3), place (n,) and deviations u (n, r)."""
-        rows = len(z)
-        nothing = np.zeros((rows, 3))
-        tip = z[:, :3] if self.has_tip else nothing
-        at = 3 * self.has_tip
-        body = z[:, at : at + 3] if self.has_body else nothing
-        place = z[:, at + 3] if self.has_body else np.zeros(rows)
-        return tip, body, place, z[:, self.force_count :]
+class _Posterior(NamedTuple):
+    """Mean (6,) and covariance (6, 6) of the forces at the tip and along the body, N, over all explanations.
 
-    def run(self, first: _Fit | None, place: float) -> _Fit:
-        """Minimise the sum of squares from another fit, with a force along the body at first at `place`, mm."""
-        of, forces = self.of, self.force_count
-        z, states = np.zeros(forces + of.root.shape[1]), of.start
-        if first is not None and first.has_tip <= self.has_tip and not first.has_body:
-            # The other fit is this one with a force of zero: its equilibrium is where this one begins.
-            z[: 3 * first.has_tip], z[forces:], states = first.tip[: 3 * first.has_tip], first.u, first.states
-        if self.has_body:
-            z[self.place_index] = place
-        values, states = of.predict(states, *self.split(z[None]))
-        residual = of.residuals(values, z[None, forces:])[0]
-        damping = FIRST_DAMPING
+    place, place_deviation: mm, of the latter if it acts. weights: probabilities of the kinds.
+    """
+
+    mean: Array
+    covariance: Array
+    place: float
+    place_deviation: float
+    weights: dict[str, float]
+
+
+class _Fits:
+    """Fits of all explanations to an observation, in one batch; `run` makes them.
+
+    z (H, 7 + r): force at the tip, force along the body, N, place, mm, and deviations of the tubes; 0 for what an
+    explanation does not have. states: the equilibria. values (H, m): predicted. residual (H, m), slopes (H, 7 + r,
+    m): over the noise, and their derivatives. misfit (H,): sum of squares of residuals and deviations.
+    """
+
+    def __init__(self, of: _Observation, explanations: _Explanations) -> None:
+        self.of, self.explanations = of, explanations
+        count, deviations = len(explanations.kinds), of.root.shape[1]
+        tip, body = ((explanations.kinds == kind) | (explanations.kinds == TIP_AND_BODY) for kind in (TIP, BODY))
+        self.present = np.column_stack(
+            [np.repeat(tip[:, None], 3, axis=1), np.repeat(body[:, None], 4, axis=1), np.ones((count, deviations))]
+        ).astype(bool)
+        self.before = np.zeros((count, FORCE_COUNT + deviations))
+        self.before[:, PLACE_INDEX] = np.where(body, explanations.place, 0.0)
+        self.z = self.before.copy()
+        self.steps = np.array(
+            [STEPS["force"]] * PLACE_INDEX + [STEPS["place"]] + [STEPS["deviation"]] * deviations
+        )
+        self.states = of.start.rows(np.zeros(count, dtype=int))
+        self.values, self.states = of.predict(self.states, *self._split(self.z))
+        self.residual = (self.values - of.values) / of.scale
+        self.slopes = np.zeros((count, FORCE_COUNT + deviations, len(of.values)))
+
+    def _split(self, z: Array) -> tuple[Array, Array, Array, Array]:
+        """Split unknowns z (n, 7 + r) into tip, body (n, 3), place (n,) and deviations u (n, r)."""
+        return z[:, :3], z[:, 3:PLACE_INDEX], z[:, PLACE_INDEX], z[:, FORCE_COUNT:]
+
+    def _certainty(self, tip_scale: float, body_scale: float) -> Array:
+        """Return one over the variances (H, 7 + r) of the unknowns beforehand; scales: of the forces, N.
+
+        1 for what an explanation does not have.
+        """
+        count = len(self.z)
+        forces = np.repeat([[tip_scale] * 3 + [body_scale] * 3], count, axis=0)
+        others = np.ones((count, self.z.shape[1] - FORCE_COUNT))
+        deviations = np.column_stack([forces, self.explanations.place_deviation, others])
+        return np.asarray(np.where(self.present, deviations, 1.0) ** -2)
+
+    def run(self) -> _Fits:
+        """Find the mode of each explanation by Levenberg's and Marquardt's method."""
+        certainty = self._certainty(FITTED_FORCE_SCALE_N, FITTED_FORCE_SCALE_N)
+        cost = self._cost(self.z, self.residual, certainty)
+        damping = np.full(len(self.z), FIRST_DAMPING)
+        stale = np.ones(len(self.z), dtype=bool)
+        searched = np.arange(len(self.z))
         for _ in range(MAX_FIT_ITERATIONS):
-            slopes = self._slopes(z, states, values[0])
-            gained = 0.0
-            while damping < MAX_DAMPING:
-                tried = self._step(z, slopes, residual, damping)
-                new, there = of.predict(states, *self.split(tried[None]))
-                after = of.residuals(new, tried[None, forces:])[0]
-                # NaN, where the branch of equilibria ends on the way, is no gain.
-                if (better := residual @ residual - after @ after) > 0:
-                    z, values, states, residual, gained = tried, new, there, after, better
-                    damping /= 10
-                    break
-                damping *= 10
-            if not gained > FIT_TOLERANCE:
+            if (again := searched[stale[searched]]).size:
+                self.slopes[again] = self._slopes(again)
+            tried = self._step(searched, certainty, damping[searched])
+            values, states = self.of.predict(self.states.rows(searched), *self._split(tried))
+            residual = (values - self.of.values) / self.of.scale
+            # NaN, where the branch of equilibria ends on the way, is no gain.
+            after = self._cost(tried, residual, certainty[searched], searched)
+            gained = cost[searched] - after
+            better = gained > 0
+            rows = searched[better]
+            self.z[rows], self.values[rows], self.residual[rows] = tried[better], values[better], residual[better]
+            cost[rows] = after[better]
+            self.states = _replace_rows(self.states, rows, states.rows(better))
+            damping[searched] *= np.where(better, 0.1, 10.0)
+            stale[searched] = better
+            searched = searched[np.where(better, gained > FIT_TOLERANCE, damping[searched] < MAX_DAMPING)]
+            if not len(searched):
                 break
-        self.states, self.values, self.residual = states, values[0], residual
-        self.slopes = self._slopes(z, states, values[0])
-        tip, body, at, u = self.split(z[None])
-        self.tip, self.body, self.place_or_zero, self.u = tip[0], body[0], float(at[0]), u[0]
-        self.misfit = float(residual @ residual)
+        every = np.flatnonzero(stale)
+        self.slopes[every] = self._slopes(every)
+        self.misfit = (self.residual**2).sum(axis=1) + (self.z[:, FORCE_COUNT:] ** 2).sum(axis=1)
         return self
 
-    def _step(self, z: Array, slopes: Array, residual: Array, damping: float) -> Array:
-        """Return the unknowns after a damped Gauss-Newton step; forces change by MAX_FORCE_STEP_N at most."""
-        if not len(z):
-            return z
-        normal = slopes @ slopes.T
-        damped = normal + damping * np.diag(np.maximum(np.diag(normal), MIN_CURVATURE))
-        step = -np.linalg.solve(damped, slopes @ residual)
-        largest = abs(step[self.is_force]).max(initial=0.0)
-        tried = z + step * min(1.0, MAX_FORCE_STEP_N / max(largest, MIN_CURVATURE))
-        if self.has_body:
-            tried[self.place_index] = np.clip(tried[self.place_index], *self.of.place_range)
+    def _cost(self, z: Array, residual: Array, certainty: Array, rows: Index | None = None) -> Array:
+        """Return the sums of squares (n,) of residuals (n, m) and of unknowns z (n, 7 + r) beside those
+        expected.
+        """
+        before = self.before if rows is None else self.before[rows]
+        return np.asarray((residual**2).sum(axis=1) + (certainty * (z - before) ** 2).sum(axis=1))
+
+    def _step(self, rows: Index, certainty: Array, damping: Array) -> Array:
+        """Return unknowns (n, 7 + r) after damped Gauss-Newton steps; forces change by MAX_FORCE_STEP_N at
+        most.
+        """
+        slopes = self.slopes[rows]
+        normal = slopes @ np.swapaxes(slopes, 1, 2) + certainty[rows, :, None] * np.eye(slopes.shape[1])
+        damped = normal + damping[:, None, None] * normal * np.eye(slopes.shape[1])
+        slope = (slopes @ self.residual[rows, :, None])[..., 0] + certainty[rows] * (
+            self.z[rows] - self.before[rows]
+        )
+        step = -np.linalg.solve(damped, slope[..., None])[..., 0]
+        largest = abs(step[:, :PLACE_INDEX]).max(axis=1)
+        tried = (
+            self.z[rows] + step * np.minimum(1.0, MAX_FORCE_STEP_N / np.maximum(largest, MIN_CURVATURE))[:, None]
+        )
+        placed = self.present[rows, PLACE_INDEX]
+        tried[placed, PLACE_INDEX] = np.clip(tried[placed, PLACE_INDEX], *self.of.place_range)
         return np.asarray(tried)
 
-    def _slopes(self, z: Array, states: States, values: Array) -> Array:
-        """Return derivatives (k, m + r) of the residuals over the unknowns: differences in one batch."""
-        if not len(z):
-            return np.zeros((0, len(self.of.values) + self.of.root.shape[1]))
-        steps = self.steps.copy()
+    def _slopes(self, rows: Index) -> Array:
+        """Return derivatives (n, 7 + r, m) of the residuals of some rows by differences in one batch."""
+        which, column = np.nonzero(self.present[rows])
+        at = rows[which]
+        steps = self.steps[column].copy()
         # Beyond the last piece a place is the same as on it: the difference is taken backwards there.
-        if self.has_body and z[self.place_index] + steps[self.place_index] > self.of.place_range[1]:
-            steps[self.place_index] *= -1
-        probes = z + np.diag(steps)
-        found, _ = self.of.predict(states.rows(np.zeros(len(z), dtype=int)), *self.split(probes))
-        before = self.of.residuals(values[None], z[None, self.force_count :])
-        change = self.of.residuals(found, probes[:, self.force_count :]) - before
-        return np.nan_to_num(change / steps[:, None])
-
-    @property
-    def place(self) -> float:
-        """Arc length of the force along the body, mm; NaN without one."""
-        return self.place_or_zero if self.has_body else math.nan
-
-    @property
-    def present(self) -> Index:
-        """Indices of what the fit has among tip, body and place, 7 in all."""
-        return np.flatnonzero([self.has_tip] * 3 + [self.has_body] * 4)
-
-    @cached_property
-    def body_slopes(self) -> Array:
-        """Derivatives (K, 3, m + r) of the residuals over a force on each piece."""
-        return self.of.body_slopes(self)
-
-    @cached_property
-    def force_covariance(self) -> Array:
-        """Covariance (7, 7) of tip, body and place; 0 for what the fit does not have."""
-        every = np.linalg.pinv(self.slopes @ self.slopes.T)[: self.force_count, : self.force_count]
-        found = np.zeros((7, 7))
-        found[np.ix_(self.present, self.present)] = every
+        ends = (column == PLACE_INDEX) & (self.z[at, PLACE_INDEX] + steps > self.of.place_range[1])
+        steps[ends] *= -1
+        probes = self.z[at]
+        probes[np.arange(len(at)), column] += steps
+        values, _ = self.of.predict(self.states.rows(at), *self._split(probes))
+        found = np.zeros((len(rows), *self.slopes.shape[1:]))
+        found[which, column] = np.nan_to_num((values - self.values[at]) / steps[:, None] / self.of.scale)
         return found
 
-    def evidence(self, scale: float) -> tuple[float, Array, Array]:
-        """Return the logarithm of the evidence, and mean (3,) and covariance (3, 3) of the force at the tip.
+    def average(self) -> _Posterior:
+        """Return the posterior over all explanations and all scales of their forces (Bayesian model averaging)."""
+        evidence, means, covariances = [], [], []
+        scales = list(zip(FORCE_SCALES_N.tolist(), np.log(FORCE_SCALE_PROBABILITIES).tolist(), strict=True))
+        for tip_scale, tip_log in scales:
+            for body_scale, body_log in scales:
+                log_evidence, mean, covariance = self._evidence(tip_scale, body_scale)
+                evidence.append(log_evidence + np.log(self.explanations.probability) + tip_log + body_log)
+                means.append(mean)
+                covariances.append(covariance)
+        # A fit whose equilibria were lost explains nothing.
+        every = np.nan_to_num(np.array(evidence), nan=-np.inf)
+        parts = np.exp(every - every.max())
+        parts /= parts.sum()
+        mean, covariance = _mix(parts, np.array(means)[..., :6], np.array(covariances)[..., :6, :6])
+        body = parts * self.present[:, PLACE_INDEX]
+        body /= max(body.sum(), np.finfo(float).tiny)
+        here = slice(PLACE_INDEX, PLACE_INDEX + 1)
+        place, variance = _mix(body, np.array(means)[..., here], np.array(covariances)[..., here, here])
+        kinds = self.explanations.kinds
+        weights = {kind: float(parts[:, kinds == kind].sum()) for kind in (NO_FORCE, TIP, BODY, TIP_AND_BODY)}
+        return _Posterior(mean, covariance, float(place[0]), math.sqrt(variance[0, 0]), weights)
 
-        scale: standard deviation of each component of a force beforehand, N. The likelihood is normal around the
-        fit (Laplace's approximation), so that with a normal prior of the same mean and variance as that of places
-        the integral is one of normal distributions.
+    def _evidence(self, tip_scale: float, body_scale: float) -> tuple[Array, Array, Array]:
+        """Return logarithms of the evidence (H,), and mean (H, 7 + r) and covariance of the unknowns.
+
+        tip_scale, body_scale: standard deviations of each component of the forces beforehand, N. The shape is
+        linear in the unknowns around the fit (Laplace's approximation).
         """
-        rows = self.present
-        if not len(rows):
-            return -self.misfit / 2, np.zeros(3), np.zeros((3, 3))
-        low, high = self.of.place_range
-        before = np.diag([*[scale**2] * 6, (high - low) ** 2 / 12])[np.ix_(rows, rows)]
-        middle = np.array([*[0.0] * 6, (low + high) / 2])[rows]
-        at = np.array([*self.tip, *self.body, self.place_or_zero])[rows]
-        likely = self.force_covariance[np.ix_(rows, rows)] + MIN_CURVATURE * np.eye(len(rows))
-        both = likely + before
-        away = at - middle
-        log_evidence = (
-            -self.misfit / 2
-            + np.linalg.slogdet(likely)[1] / 2
-            - np.linalg.slogdet(both)[1] / 2
-            - away @ np.linalg.solve(both, away) / 2
-        )
-        gain = before @ np.linalg.inv(both)
-        mean = middle + gain @ away
-        covariance = before - gain @ before
-        tip = np.zeros(3), np.zeros((3, 3))
-        return (float(log_evidence), mean[:3], covariance[:3, :3]) if self.has_tip else (float(log_evidence), *tip)
+        certainty = self._certainty(tip_scale, body_scale)
+        normal = self.slopes @ np.swapaxes(self.slopes, 1, 2) + certainty[..., None] * np.eye(certainty.shape[1])
+        slope = (self.slopes @ self.residual[..., None])[..., 0] + certainty * (self.z - self.before)
+        covariance = np.linalg.inv(normal)
+        step = -(covariance @ slope[..., None])[..., 0]
+        least = self._cost(self.z, self.residual, certainty) + (slope * step).sum(axis=1)
+        log_evidence = -least / 2 - np.linalg.slogdet(normal)[1] / 2 + np.log(certainty).sum(axis=1) / 2
+        present = self.present[:, :, None] & self.present[:, None]
+        return log_evidence, self.z + step, np.where(present, covariance, 0.0)
+
+
+def _mix(parts: Array, means: Array, covariances: Array) -> tuple[Array, Array]:
+    """Return mean (n,) and covariance (n, n) of a mixture with shares `parts` (..), by the law of total
+    covariance.
+    """
+    shares, columns = parts.ravel(), means.shape[-1]
+    means, covariances = means.reshape(-1, columns), covariances.reshape(-1, columns, columns)
+    mean = shares @ means
+    apart = means - mean
+    return mean, np.tensordot(shares, covariances, 1) + (shares[:, None] * apart).T @ apart
+
+
+def _replace_rows(states: States, rows: Index, new: States) -> States:
+    """Return states in which some rows are new."""
+    found = []
+    for old, other in zip(states, new, strict=True):
+        changed = old.copy()
+        changed[rows] = other
+        found.append(changed)
+    return States(*found)

@@ -45,9 +45,8 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array, Index
 
 QUADRATURE_PANELS = 6
-"""Number of equal parts of a piece on which the wall's push is integrated separately. Where
-a piece begins to touch, the push has a corner, which a rule over the whole piece misses: by up to 0.06 mm of the
-tip's place."""
+"""Number of equal parts of a piece on which the wall's push is integrated separately. Where a piece begins to
+touch, the push has a corner, which a rule over the whole piece misses: by up to 0.06 mm of the tip's place."""
 _LOBATTO_PARTS = np.array([0.0, (1 - np.sqrt(3 / 7)) / 2, 0.5, (1 + np.sqrt(3 / 7)) / 2, 1.0])
 _LOBATTO_WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180
 
@@ -94,8 +93,8 @@ MARGIN_PROBE = 1e-6
 TIP_SCALE_MM_PER_RAD, FORCE_SCALE_MM_PER_N = 50.0, 1.0
 """Scales of tip and forces in the size of a Newton step: about the lengths by which they move a robot."""
 MIN_WALL_SHARE_STEP = 2.0**-20
-"""Least step in which the wall is hardened around a robot without a history: one
-that would be 100 mm outside of the lumen needs a wall that soft to begin with."""
+"""Least step in which the wall is hardened around a robot without a history: one that would be 100 mm outside of
+the lumen needs a wall that soft to begin with."""
 
 
 class ContactState(NamedTuple):

@@ -15,8 +15,8 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 PIECES_PER_SECTION, PIECES_OF_ONE_TUBE = 9, 12
-"""Number of pieces into which every section between ends of tubes
-is divided, some mm each, and that of a robot of one tube, which has one section for its whole length."""
+"""Number of pieces into which every section between ends of tubes is divided, some mm each, and that of a robot of
+one tube, which has one section for its whole length."""
 
 
 def kind_with_pieces(load: Load | LoadOverTime, tubes: int) -> RodKind:
