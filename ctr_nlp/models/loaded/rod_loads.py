@@ -72,6 +72,7 @@ def check_kinds(kinds: Sequence[Kind]) -> None:
 
 def loading(values: Sequence[Any]) -> Loading:
     """Split the values of a load's numbers, in the order of loads.Load.numbers, into the vectors of a Loading."""
+    # The five vectors come first, then the range of the distributed force, then the weights of tubes.
     force, tool_force, moment, tool_moment, distributed = vectors(values[: FORCE_RANGE_COLUMNS.start])
     begin, end = values[FORCE_RANGE_COLUMNS]
     return Loading(
@@ -156,7 +157,8 @@ class RodKind(NamedTuple):
     def steps(self) -> int:
         """Steps of integration in each section, or in each piece where sections are divided."""
         # The corner of a force along the body costs accuracy in the step that it falls into. Pieces share the
-        # steps of their section, rounded up.
+        # steps of their section, rounded up: of 18 steps, one alone would be left for each of 12 pieces, along
+        # which the wall's push changes.
         steps = LOADED_STEPS_PER_SECTION * (2 if self.distributed else 1)
         return math.ceil(steps / max(self.pieces, 1))
 
