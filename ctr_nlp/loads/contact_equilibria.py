@@ -476,19 +476,24 @@ class ContactEquilibria:
         with it.
         """
         d = self.robot.d
-        by_q: Array | None = None
+        kept: tuple[_Systems, Array] | None = None
         before = np.inf
         for _ in range(MAX_CONTACT_NEWTON_STEPS):
             rods = self._rods([state])
             contact = self._contacts(rods)
-            if by_q is None:
-                systems = self._systems([state], contact, 1.0)
-                by_q = self._residual_by_q([state], systems)
-                residual = systems.residual
-                if not np.isfinite(systems.jacobian).all():
+            # A piece that begins to touch needs unknowns of its own.
+            pressed = (contact.beyond[0] > -self.wall.toe / 2).any(axis=1)
+            if kept is not None and np.delete(pressed, kept[0].near).any():
+                kept = None
+            if kept is None:
+                fresh = self._systems([state], contact, 1.0)
+                kept = fresh, self._residual_by_q([state], fresh)
+                residual = fresh.residual
+                if not np.isfinite(fresh.jacobian).all():
                     return None
             else:
-                residual = self._residual(state, rods, contact, systems.near, 1.0)[None]
+                residual = self._residual(state, rods, contact, kept[0].near, 1.0)[None]
+            systems, by_q = kept
             if not np.isfinite(residual).all():
                 return None
             try:
@@ -503,7 +508,7 @@ class ContactEquilibria:
                 return state
             size = self._size(unknowns, systems)
             if size > MAX_KEPT_JACOBIAN_STEP_RATIO * before:
-                by_q = None
+                kept = None
             before = size
         return None
 
