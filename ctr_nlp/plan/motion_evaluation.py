@@ -163,6 +163,8 @@ def _with_tube_ends(robot: Robot, beta: Array, shape: Array) -> tuple[Array, Arr
     outermost tubes (T, 101 + d - 1), mm; the last has for each end the number of the point before it, (T, d - 1).
     """
     count, last = len(beta), len(SIGMA_GRID) - 1
+    # Frames without a configuration have no shape, either.
+    beta = np.nan_to_num(beta)
     ends = beta[:, :-1] / np.maximum(beta[:, -1:], np.finfo(float).tiny)
     # At its own end, a tube is still the outermost.
     radii = outermost_tube_radii(robot, beta, np.hstack([np.tile(SIGMA_GRID, (count, 1)), ends]))

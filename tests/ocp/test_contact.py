@@ -51,6 +51,14 @@ WALLED = Settings(contact_allowed=100.0)
 """Contact costs the same a mm however deep it is."""
 
 
+def away_from_tube_ends(plan):
+    """Flags (T, 101) of points that have no end of an outer tube between them and the next one."""
+    found = np.ones((len(plan.beta), len(SIGMA_GRID)), dtype=bool)
+    before = (100 * plan.beta[:, :-1] / plan.beta[:, -1:] + 1e-9).astype(int).clip(max=99)
+    found[np.arange(len(found))[:, None], before] = False
+    return found
+
+
 # What a frame knows of the wall
 
 
@@ -228,7 +236,9 @@ def test_clearance_in_a_plan_is_lumen_radius_less_distance_less_tube(pair):
         tube = np.where(s <= plan.beta[:, :1] + 1e-9, 2.85, np.where(s <= plan.beta[:, 1:2] + 1e-9, 1.85, 1.05))
         beyond = np.maximum(plan.shape[..., 2] - 120, 0) + np.minimum(plan.shape[..., 2], 0)
         distance = np.sqrt((plan.shape[..., :2] ** 2).sum(-1) + beyond**2)
-        np.testing.assert_allclose(plan.clearance, 4 - distance - tube, atol=1e-6)
+        expected, between = 4 - distance - tube, away_from_tube_ends(plan)
+        np.testing.assert_allclose(plan.clearance[between], expected[between], atol=1e-6)
+        assert (plan.clearance <= expected + 1e-6).all()
 
 
 @BOTH
@@ -352,7 +362,9 @@ def test_on_another_model_the_clearance_is_that_of_its_shapes(horizons):
     plan = horizons[0]
     other = plan.evaluate_on("elastic")
     expected = Lumen(plan.lumen).clearance(ROBOT, plan.beta, SIGMA_GRID, other.shape)
-    np.testing.assert_allclose(other.clearance, expected)
+    between = away_from_tube_ends(plan)
+    np.testing.assert_allclose(other.clearance[between], expected[between])
+    assert (other.clearance <= expected + 1e-9).all()
     assert np.abs(other.clearance - plan.clearance).max() > 0.1
     np.testing.assert_allclose(other.evaluate_on("dominant").clearance, plan.clearance, atol=1e-9)
 
