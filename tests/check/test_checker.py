@@ -275,3 +275,15 @@ def test_command_checks_files_that_the_package_refuses(saved, tmp_path, capsys):
     assert "disagrees" in told
     assert "digest" in told
     assert "readable" in told
+
+
+def test_a_robot_of_one_tube_is_checked_within_its_wall(tmp_path):
+    """It has no outer tube whose end could lie between two points."""
+    bend = curve_from_points([[0.002 * z**2, 0, z] for z in range(0, 61, 5)], [4.0] * 13)
+    rod = Robot((Tube(200, 100, 0.004, 1.5, 1.0),))
+    q = np.array([[0.0, 20 * (j + 1), 0.0, 0.0] for j in range(3)])
+    plan = plan_through(Problem("rod", rod, growing(bend, 3)), q)
+    plan.save(tmp_path / "plan.npz")
+    found = check_plan(tmp_path / "plan.npz").findings
+    assert found["within_wall"].word == "yes"
+    assert found["clearances"].word == "yes"
