@@ -284,6 +284,19 @@ def test_a_robot_of_one_tube_is_checked_within_its_wall(tmp_path):
     q = np.array([[0.0, 20 * (j + 1), 0.0, 0.0] for j in range(3)])
     plan = plan_through(Problem("rod", rod, growing(bend, 3)), q)
     plan.save(tmp_path / "plan.npz")
-    found = check_plan(tmp_path / "plan.npz").findings
-    assert found["within_wall"].word == "yes"
-    assert found["clearances"].word == "yes"
+    result = check_plan(tmp_path / "plan.npz")
+    assert result.findings["within_wall"].word == YES
+    assert result.findings["clearances"].word == YES
+    # The angle is that to the target of the last frame.
+    cosine = plan.tip_direction[-1] @ plan.target_direction[-1]
+    assert result.tip_degrees == pytest.approx(np.degrees(np.arccos(cosine)), abs=0.01)
+
+
+def test_helices_turn_as_they_do_in_the_package(tmp_path):
+    tubes = Tube(200, 60, 0.01, 2.4, 1.8, pre_torsion=0.03), Tube(300, 100, 0.008, 1.6, 1.0, pre_torsion=-0.02)
+    q = np.array([[0.3, -0.4, 20.0 * j, 30.0 * j, 0.0, 0.0] for j in (1, 2, 3)])
+    path = curve_from_points([[0, 0, z] for z in range(0, 101, 5)])
+    plan = plan_through(Problem("helices", Robot(tubes), growing(path, 3)), q)
+    assert abs(plan.shape[-1, -1, :2]).min() > 1.0
+    plan.save(tmp_path / "plan.npz")
+    assert words(tmp_path / "plan.npz")["shapes"] == YES
