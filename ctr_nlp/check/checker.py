@@ -229,13 +229,13 @@ def measure_motion(file: PlanFile, findings: dict[str, Finding], tubes: Tubes, q
         points[chosen], tips[chosen] = body.interpolate(SIGMA), body.tangents[-1]
         if np.isfinite(tubes.torsional).all():  # others do not twist, so that they have no margin
             margin[chosen] = compute_stability_margins(twist)
-        clear = measure_clearance(walls, points[chosen], find_radius(beta, twist.tubes.radius))
         # Where an outer tube ends between two points, the first of them has the least of itself and that end.
-        for end, radius in zip(beta[:-1] / beta[-1], twist.tubes.radius[:-1], strict=True):
-            before = np.minimum((end * (len(SIGMA) - 1) + 1e-9).astype(int), len(SIGMA) - 2)
-            at_end = measure_clearance(walls, body.interpolate(end[:, None]), radius[:, None])
-            np.minimum.at(clear, (np.arange(len(clear)), before), at_end[:, 0])
-        clearance[chosen] = clear
+        ends, radius = (beta[:-1] / beta[-1]).T, twist.tubes.radius
+        before = np.minimum((ends * (len(SIGMA) - 1) + 1e-9).astype(int), len(SIGMA) - 2)
+        along = np.concatenate([points[chosen], body.interpolate(ends)], axis=1)
+        clear = measure_clearance(walls, along, np.hstack([find_radius(beta, radius), radius[:-1].T]))
+        np.minimum.at(clear, (np.arange(len(clear))[:, None], before), clear[:, len(SIGMA) :])
+        clearance[chosen] = clear[:, : len(SIGMA)]
         for k, wall in enumerate(walls):
             clear = measure_clearance([wall], *body.find_places(PLACES_MM), known=-deepest[k])
             deepest[k] = max(deepest[k], -clear.min())
