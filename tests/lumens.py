@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp import Curve, curve_from_points
+from ctr_nlp.paths.target import SIGMA_GRID
 
 
 def wandering(seed, bend=1 / 20, length=90.0):
@@ -44,3 +45,11 @@ def brute(curve: Curve, points):
         away = np.linalg.norm(point - line[i] - part[:, None] * span, axis=1)
         found.append(min(zip(away, s[i] + part * s[1], strict=True)))
     return np.array(found).T
+
+
+def away_from_tube_ends(plan):
+    """Flags (T, 101) of points that have no end of an outer tube between them and the next one."""
+    found = np.ones((len(plan.beta), len(SIGMA_GRID)), dtype=bool)
+    before = (100 * plan.beta[:, :-1] / plan.beta[:, -1:] + 1e-9).astype(int).clip(max=99)
+    found[np.arange(len(found))[:, None], before] = False
+    return found

@@ -27,6 +27,7 @@ from ctr_nlp.loads.winkler_wall import WinklerWall
 from ctr_nlp.models.loads import Load, with_modulus
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.shipped import read_robot
+from ctr_nlp.support.tables import write_csv
 
 NITINOL_MPA = 60_000.0
 """Young's modulus of tubes whose file tells none."""
@@ -50,13 +51,15 @@ def main() -> None:
     asked = parser.parse_args()
     robot = with_modulus(read_robot(asked.robot), NITINOL_MPA)
     tree = read_lumen_tree(asked.mask, from_carina=asked.from_carina)
-    known = read_rows(asked.table)
+    rows: list[dict[str, Any]] = [*read_rows(asked.table)]
+    done = {(row["robot"], row["end"]) for row in rows}
     for end, room in narrowest_ends(tree, robot)[: asked.ends]:
-        if (asked.robot, str(end)) in {(row["robot"], row["end"]) for row in known}:
+        if (asked.robot, str(end)) in done:
             continue
         row = {"robot": asked.robot, "end": end, "room_mm": round(room, 3)}
         row |= compare_plans(tree.problem(end, robot, asked.frames), asked.force)
-        add_row(asked.table, row)
+        rows.append(dict.fromkeys(COLUMNS, "") | row)
+        write_csv(asked.table, rows)
         print(", ".join(f"{name} {value}" for name, value in row.items() if value != ""), flush=True)
     summarise(read_rows(asked.table))
 
@@ -121,16 +124,6 @@ def read_rows(table: Path) -> list[dict[str, str]]:
         return []
     with table.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
-
-
-def add_row(table: Path, row: dict[str, Any]) -> None:
-    """Add a row to a table, with the columns' names before the first."""
-    new = not table.exists()
-    with table.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="")
-        if new:
-            writer.writeheader()
-        writer.writerow(row)
 
 
 def summarise(rows: list[dict[str, str]]) -> None:

@@ -9,7 +9,7 @@ import frames as tracking
 import numpy as np
 import pytest
 from frames import alone
-from lumens import brute, straight, wandering
+from lumens import away_from_tube_ends, brute, straight, wandering
 from rows import central
 
 from ctr_nlp import (
@@ -49,14 +49,6 @@ BOTH = pytest.mark.parametrize("solve", [solve_horizon, solve_per_frame])
 NO_WALL = Settings(contact_weight=0.0)
 WALLED = Settings(contact_allowed=100.0)
 """Contact costs the same a mm however deep it is."""
-
-
-def away_from_tube_ends(plan):
-    """Flags (T, 101) of points that have no end of an outer tube between them and the next one."""
-    found = np.ones((len(plan.beta), len(SIGMA_GRID)), dtype=bool)
-    before = (100 * plan.beta[:, :-1] / plan.beta[:, -1:] + 1e-9).astype(int).clip(max=99)
-    found[np.arange(len(found))[:, None], before] = False
-    return found
 
 
 # What a frame knows of the wall

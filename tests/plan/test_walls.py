@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lumens import away_from_tube_ends
 
 from ctr_nlp import Plan, Problem, curve_from_points, growing, solve_horizon, table_i_robot
 from ctr_nlp.exceptions import OutputError, ProblemError
@@ -68,8 +69,7 @@ def test_the_nearest_of_two_bodies_counts(problem):
     # On the axis of the tube the distance has an edge, which a smooth field rounds off.
     off_axis = np.linalg.norm(plan.shape[..., :2], axis=-1) > 2 * CELL
     # Where an outer tube ends between two points, the first of them has the clearance of that end.
-    frames = np.arange(len(plan.beta))[:, None]
-    off_axis[frames, (100 * plan.beta[:, :-1] / plan.beta[:, -1:]).astype(int).clip(max=99)] = False
+    off_axis &= away_from_tube_ends(plan)
     assert off_axis.sum() > 50
     np.testing.assert_allclose(plan.clearance[off_axis], expected[off_axis], atol=0.06)
     assert (plan.clearance <= expected + 0.06).all()

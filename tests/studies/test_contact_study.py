@@ -9,6 +9,7 @@ from ctr_nlp import Problem, Robot, Tube, curve_from_points, growing
 from ctr_nlp.anatomy.formats.vtk import write_vtk
 from ctr_nlp.anatomy.lumen_tree import read_lumen_tree
 from ctr_nlp.anatomy.synthetic_tree import synthetic_tree
+from ctr_nlp.support.tables import write_csv
 
 ROD = Robot((Tube(200, 150, 0.0, 1.5, 1.0, youngs_modulus=60_000),))
 
@@ -39,8 +40,8 @@ def test_a_straight_rod_presses_less_where_its_plan_leans_on_the_wall():
 def test_a_table_is_summed_up_robot_by_robot(tmp_path, capsys):
     table = tmp_path / "rows.csv"
     numbers = {"robot": "thin", "avoids_reached": "no", "leans_reached": "yes", "leans_force_N": 0.1}
-    contact.add_row(table, numbers | {"end": 1, "avoids_force_N": 0.4})
-    contact.add_row(table, numbers | {"end": 2, "avoids_force_N": "snaps"})
+    each = {"end": 1, "avoids_force_N": 0.4}, {"end": 2, "avoids_force_N": "snaps"}
+    write_csv(table, [dict.fromkeys(contact.COLUMNS, "") | numbers | one for one in each])
     rows = contact.read_rows(table)
     assert [row["end"] for row in rows] == ["1", "2"]
     contact.summarise(rows)
