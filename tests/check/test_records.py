@@ -509,3 +509,8 @@ def test_stability_needs_the_margin_everywhere(margin, snaps, asked, word):
 )
 def test_least_margin_is_the_one_asked_for_or_the_default(options, least):
     assert checker.threshold(file_of(options=options), "stability_margin") == least
+
+
+def test_a_number_that_one_side_does_not_have_is_not_compared():
+    assert compared("arrives", YES, None, Finding(YES, 1.0, 1.0))
+    assert compared("arrives", YES, 1.0, Finding(YES))

@@ -774,8 +774,15 @@ def test_a_tip_that_arrives_beside_the_path_has_taken_a_shortcut(bulge, word):
 
 
 def test_a_robot_that_fails_for_several_reasons_counts_for_the_first():
-    """The first snaps, misses and presses, the second misses and presses, the third presses, the fourth holds."""
-    lost = np.array([True, False, False, False])
-    found = SampleOutcomes(lost, np.array([9.0, 9, 0, 0]), np.array([5.0, 5, 5, 0]), 2.0, 1.0, wall_known=True)
-    told = "1 snap or leave the branch, 1 do not arrive within 2 mm, 1 touch the wall"
-    assert f"1 of 4 simulated robots hold; {told}" in outcome_sentence(found)
+    """One snaps, misses and presses, two miss and press, three press, and one holds."""
+    lost, tip = np.arange(7) < 1, np.where(np.arange(7) < 3, 9.0, 0.0)
+    found = SampleOutcomes(lost, tip, np.where(np.arange(7) < 6, 5.0, 0.0), 2.0, 1.0, wall_known=True)
+    told = "1 snap or leave the branch, 2 do not arrive within 2 mm, 3 touch the wall"
+    assert f"1 of 7 simulated robots hold; {told}" in outcome_sentence(found)
+
+
+@pytest.mark.parametrize(("allowed", "words"), [(0.5, "0.5 mm is allowed."), (0.0, "none is allowed.")])
+def test_contact_is_told_with_what_is_allowed(allowed, words):
+    plan = touching(-2.0, 1.0)
+    options = {"options": plan.options | {"contact_allowed": allowed}}
+    assert replace(plan, meta=plan.meta | options).verdicts.within_wall.why.endswith(words)
