@@ -423,7 +423,9 @@ def judged_samples(tips, contacts, lost=None, why="", **options):
     """The result on samples whose tips end this far from the target's end, with these contacts, mm."""
     tips = np.array(tips)[:, None] * np.array([1.0, 0.0, 0.0])
     samples = {"lost": np.array(lost or [False] * len(tips)), "tips": tips, "contacts": np.array(contacts)}
-    file = file_of({"target": np.zeros((1, 101, 3))}, options=options)
+    # The target of the last frame ends in the origin; nothing else of it is near.
+    target = np.linspace([0.0, 0.0, -100.0], [0.0, 0.0, 0.0], 101) + np.array([[[50.0, 0, 0]], [[0.0, 0, 0]]])
+    file = file_of({"target": target}, options=options)
     found = checker._judge_samples(checker.CheckResult(file, {"arrives": Finding(YES, why=why)}), samples)
     return found.findings["holds"], found
 

@@ -13,7 +13,7 @@ from lumens import straight
 from test_contacts import touching
 from test_metrics_plan import LINE, aside, made
 
-from ctr_nlp import Plan, Problem, Robot, Settings, Tube, growing, solve_per_frame, summary, table_i_robot
+from ctr_nlp import Load, Plan, Problem, Robot, Settings, Tube, growing, solve_per_frame, summary, table_i_robot
 from ctr_nlp.cli import plan_report
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS
@@ -26,7 +26,7 @@ from ctr_nlp.plan.motion_evaluation import evaluate_motion
 from ctr_nlp.plan.sample_outcomes import SampleOutcomes, sample_outcomes
 from ctr_nlp.plan.simulation import Simulator
 from ctr_nlp.plan.summary_text import NOT_FOR_PATIENTS, headline, remarks
-from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdicts, outcome_sentence
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdict, Verdicts, outcome_sentence
 from ctr_nlp.problems import named_problem
 from ctr_nlp.view.figures.parts.page import outcome
 
@@ -248,6 +248,18 @@ def test_the_margin_that_was_asked_for_must_hold(asked, word):
 
 def test_the_frame_of_a_snap_is_reported():
     assert "snaps on the way to frame 2" in twisted([0.4, 0.3], snaps=(2,)).verdicts.stable.why
+
+
+def test_a_load_without_energy_leaves_stability_not_checked():
+    """A force that turns with the tip has no energy, so that no margin says whether the robot is stable."""
+    pushed = {axes: Load(force=(0.0, 0.1, 0.0), axes=axes).to_dict() for axes in ("base", "tool")}
+    plan = twisted([0.4, 0.3])
+    turning, fixed = (
+        replace(plan, meta=plan.meta | {"load": pushed[axes]}).verdicts.stable for axes in ("tool", "base")
+    )
+    assert (turning.word, fixed.word) == (NOT_CHECKED, YES)
+    assert "no energy" in turning.why
+    assert turning.value == fixed.value == "0.300 at frame 2"
 
 
 # Within limits
@@ -565,6 +577,18 @@ def name(request):
 
 def test_failed_are_the_verdicts_whose_word_is_no(name):
     assert PLANS[name].verdicts.failed_names == FAILED[name]
+
+
+@pytest.mark.parametrize("other", [NO, NOT_CHECKED])
+def test_the_end_is_reached_where_all_its_verdicts_are_yes(other):
+    """Following counts for nothing here; *holds* counts for the robots that tolerances allow alone."""
+    passed = Verdicts(**{name: Verdict(name, YES, 0.0, "", "Why.", "") for name in Verdicts._fields})
+    assert passed.end_reached
+    assert passed.end_reached_as_described
+    for name in Verdicts._fields:
+        found = passed._replace(**{name: getattr(passed, name)._replace(word=other)})
+        assert found.end_reached == (name == "follows")
+        assert found.end_reached_as_described == (name in {"follows", "holds"})
 
 
 def test_every_verdict_has_a_word_and_a_sentence(name):
