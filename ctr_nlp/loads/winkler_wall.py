@@ -22,10 +22,12 @@ over q would end at these.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from ctr_nlp.ocp.compiled_wall import WallDistance
 from ctr_nlp.paths.walls import WallGeometry
 from ctr_nlp.typing import Array, Flags
 
@@ -66,9 +68,14 @@ class WinklerWall:
     stiffness: float
     toe: float = TOE_DEPTH_MM
 
+    @cached_property
+    def _distance(self) -> WallDistance:
+        """The wall as C reads it."""
+        return WallDistance(self.geometry)
+
     def push(self, points: Array, radius: Array) -> WallPush:
         """Return what the wall does to points (.., 3), mm, of a robot of these radii (..,), mm."""
-        near = self.geometry.project(points)
+        near = self._distance.project(points)
         over = radius - near.radius
         pressed, hardness = _compress(over + near.distance, self.toe)
         pressed_behind, hardness_behind = _compress(over - near.distance, self.toe)

@@ -34,6 +34,7 @@ from ctr_nlp.paths.lumen import (
     LEAST_CURVATURE_PER_MM,
     LUMEN_TABLE_SPACING_MM,
     Lumen,
+    LumenProjection,
     outermost_tube_radii,
     tube_outer_radii,
 )
@@ -51,6 +52,9 @@ numbers and its work arrays.
 _WALL_INPUT_FIELDS = "shares", "numbers", "table", "along", "path", "radius", "outer"
 _WALL_NUMBER_FIELDS = "clearance", "centred", "tiny", "spacing", "widest"
 _WALL_WORK_FIELDS = "x", "load", "at", "kept_x", "kept_load", "kept"
+
+_PROJECTION_SIZES = 1, 1, 3, 3, 3, 3, 1, 1, 1
+"""Numbers of each field of LumenProjection, in the order in which look_beside of wall.c writes them."""
 
 
 # Order and types of the fields must be those of the struct in C: nothing checks them, and a mismatch reads other
@@ -255,7 +259,7 @@ class CompiledWall:
 
 
 class WallDistance:
-    """Signed distance of points to the nearest wall; in C where possible."""
+    """Signed distance of points to the nearest wall, and what that wall is like there; in C where possible."""
 
     def __init__(self, geometry: WallGeometry) -> None:
         """Prepare the tables of a wall for C."""
@@ -282,6 +286,18 @@ class WallDistance:
         call = cache.load_c_files(__package__, "wall.c").left_beside
         call(ctypes.byref(self._wall), ctypes.c_long(found.size), points.ctypes, found.ctypes)
         return found
+
+    def project(self, points: Array) -> LumenProjection:
+        """Return the nearest wall at points (.., 3), mm, as a path with a radius; NaN at points that are NaN."""
+        if cache.unavailable_reason():
+            return self._geometry.project(points)
+        points = np.ascontiguousarray(points, dtype=float)
+        found = np.empty((*points.shape[:-1], sum(_PROJECTION_SIZES)))
+        call = cache.load_c_files(__package__, "wall.c").look_beside
+        call(ctypes.byref(self._wall), ctypes.c_long(points.size // 3), points.ctypes, found.ctypes)
+        parts = np.split(found, np.cumsum(_PROJECTION_SIZES)[:-1], axis=-1)
+        sizes = zip(parts, _PROJECTION_SIZES, strict=True)
+        return LumenProjection(*(part[..., 0] if size == 1 else part for part, size in sizes))
 
     def clearances(self, robot: Robot, beta: Array, shape: Array, sigma: Array) -> Array:
         """Return the clearance between the wall and a robot's outermost tube, (.., T, n) mm.

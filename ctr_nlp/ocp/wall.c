@@ -7,6 +7,7 @@
 #define CLOSE 1e-6   /* mm: a step to the nearest of the path that is as good as none */
 #define SPARE 4      /* mm beyond the nearest of the table that is kept in mind for the next point */
 #define COLUMNS 13   /* of what describes a place, as in terms/lumen.py */
+#define PROJECTED 17 /* numbers of what look_beside finds for a point */
 #define BLOCK 8      /* cells along each side of a block, as in paths/distance_field.py */
 #define SIDE 11      /* coefficients along each side of a block */
 
@@ -44,9 +45,9 @@ typedef struct {
     const Field *field;
 } Wall;
 
-/* What of the path is nearest to a point, and the wall there. */
+/* What of the path is nearest to a point, and the wall there. bend: the curvature, limited as the lumen is wide. */
 typedef struct {
-    double centre[3], tangent[3], bend[3], radius, taper, behind, ahead, distance;
+    double centre[3], tangent[3], curvature[3], bend[3], radius, taper, behind, ahead, distance;
 } Near;
 
 static double most(double a, double b) { return a > b || a != a ? a : b; }
@@ -125,6 +126,7 @@ static void look_at_path(const Wall *w, const double *p, Seen *seen, Near *near)
     near->radius = ((c[0] * t + c[power]) * t + c[2 * power]) * t + c[3 * power];
     near->taper = ((3 * c[0] * t + 2 * c[power]) * t + c[2 * power]) / most(1 - dot(away, bend), 0.1);
     near->distance = sqrt(dot(away, away)), near->behind = s, near->ahead = end - s;
+    memcpy(near->curvature, bend, sizeof near->curvature);
     /* Bends sharper than the lumen is wide are noise of the path's points. */
     double size = sqrt(dot(bend, bend)), sharpest = 1 / near->radius / most(size, w->tiny);
     for (int k = 0; k < 3 && sharpest < 1; ++k) bend[k] *= sharpest;
@@ -294,6 +296,7 @@ static void osculate(const Field *f, const double *p, double distance, const dou
     for (int k = 0; k < 3; ++k) {
         near->tangent[k] = cos(angle) * first[k] + sin(angle) * other[k];
         near->centre[k] = p[k] + across * normal[k], near->bend[k] = -along * normal[k];
+        near->curvature[k] = near->bend[k];
     }
     near->distance = across, near->radius = distance - f->margin + across;
     near->taper = 0, near->behind = near->ahead = f->far;
@@ -392,5 +395,24 @@ void left_beside(const Wall *w, long count, const double *points, double *found)
         long which;
         Near near;
         found[i] = all_finite(p) ? left_at(w, p, &seen, &near, &which) : NAN;
+    }
+}
+
+/* The nearest wall beside so many points, rows of three: PROJECTED numbers for each, those of LumenProjection
+   (paths/lumen.py) in its order. */
+void look_beside(const Wall *w, long count, const double *points, double *found) {
+    Seen seen = {.beyond = -1};
+    for (long i = 0; i < count; ++i, found += PROJECTED) {
+        const double *p = points + 3 * i;
+        Near near;
+        if (!all_finite(p)) {
+            for (int k = 0; k < PROJECTED; ++k) found[k] = NAN;
+            continue;
+        }
+        look(w, p, &seen, &near);
+        found[0] = near.distance, found[1] = near.radius;
+        memcpy(found + 2, near.centre, 3 * sizeof *found), memcpy(found + 5, near.tangent, 3 * sizeof *found);
+        memcpy(found + 8, near.curvature, 3 * sizeof *found), memcpy(found + 11, near.bend, 3 * sizeof *found);
+        found[14] = near.taper, found[15] = near.behind, found[16] = near.ahead;
     }
 }

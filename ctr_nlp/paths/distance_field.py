@@ -255,9 +255,9 @@ def osculating_path(
         The fields of LumenProjection, (n,) or (n, 3).
     """
     length = np.linalg.norm(gradient, axis=1)
-    known = length > 1e-6
-    # Where the slope vanishes, in the middle of a lumen, any direction serves: no wall is near.
-    normal = np.where(known[:, None], gradient / np.where(known, length, 1.0)[:, None], [0.0, 0.0, 1.0])
+    # Where the slope vanishes, in the middle of a lumen, any direction serves: no wall is near. NaN stays NaN.
+    flat = length <= 1e-6
+    normal = np.where(flat[:, None], [0.0, 0.0, 1.0], gradient / np.where(flat, 1.0, length)[:, None])
     e1, e2 = perpendicular_axes(normal)
     across = np.stack([e1, e2], axis=1)
     bend = across @ hessian @ across.transpose(0, 2, 1)

@@ -164,7 +164,8 @@ class Lumen:
             stretch = (tangent**2).sum(axis=-1) - (away * self._path(s, 2)).sum(axis=-1)
             step = (away * tangent).sum(axis=-1) / np.maximum(stretch, 0.1)
             s = np.clip(s + np.clip(step, -LUMEN_TABLE_SPACING_MM, LUMEN_TABLE_SPACING_MM), 0.0, self._along[-1])
-        centre, tangent, curvature = (np.where(known, self._path(s, order), np.nan) for order in range(3))
+        s = np.where(known[..., 0], s, np.nan)
+        centre, tangent, curvature = (self._path(s, order) for order in range(3))
         away = points - centre
         # A point that moves along the tangent by 1 mm moves the nearest place by 1 / (1 - (p - x) x'') mm.
         taper = self._radius(s, 1) / np.maximum(1.0 - (away * curvature).sum(axis=-1), 0.1)

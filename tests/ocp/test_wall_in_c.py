@@ -125,6 +125,8 @@ def test_what_is_left_beside_points_is_the_same_in_c(lumen, monkeypatch):
     found = WallDistance(lumen)(points)
     assert np.isfinite(found).sum() == found.size - 13
     np.testing.assert_allclose(found, near.radius - near.distance, atol=1e-6)
+    for name, each, expected in zip(near._fields, WallDistance(lumen).project(points), near, strict=True):
+        np.testing.assert_allclose(each, expected, atol=1e-5, err_msg=name)
     monkeypatch.setattr(cache, "unavailable_reason", lambda: "no compiler")
     np.testing.assert_array_equal(WallDistance(lumen)(points), near.radius - near.distance)
 

@@ -120,6 +120,8 @@ def test_c_evaluates_the_same_distance(seed):
     ):
         near = walls.project(points)
         np.testing.assert_allclose(WallDistance(walls)(points), near.radius - near.distance, atol=1e-9)
+        for name, found, expected in zip(near._fields, WallDistance(walls).project(points), near, strict=True):
+            np.testing.assert_allclose(found, expected, atol=1e-6, err_msg=name)
 
 
 @needs_compiler
