@@ -1,6 +1,6 @@
 """Frames of a motion on a wall as functions of their configurations: costs, constraints and their derivatives.
 
-The unknowns of a frame are coordinates of its equilibrium over which it is smooth (contact_equilibria.py): tubes'
+The unknowns of a frame are coordinates of its equilibrium over which it is smooth (contact_neighbours.py): tubes'
 angles at the tip instead of their motors' angles, which have limits and are functions of them, as in programs
 without a wall. A frame costs
 
@@ -12,19 +12,27 @@ limit: two more unknowns. Their costs are exact penalties (Nocedal and Wright, N
 chapter 17): both are 0 wherever the limits can be kept. A place is PLACE_LENGTH_MM of the robot: forces there do
 not depend on how it is divided into pieces.
 
-Slopes of the margin mu follow from the determinant D(mu, y) that vanishes there, without finding other roots:
-dmu/dy = -(dD/dy) / (dD/dmu). Second derivatives are differences of first ones, at equilibria nearby to first
-order, which are off by the square of the difference alone.
+With F(u, y) = 0 the equilibrium and L(u, y) the Lagrangian of a frame, the Hessian of L(u(y), y) is
+
+    (u_y, 1)^T  d^2(L + l^T F)  (u_y, 1),    l = -(dF/du)^-T dL/du  (adjoint variables),
+
+since terms with second derivatives of u cancel. It is found from second differences of the number L + l^T F along
+u_y: for n unknowns, (n + 1)(n + 2) / 2 + n rods, however many pieces of the robot touch the wall. The margin has
+no such l: it is found at equilibria that are exact to the second order.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.loads.contact_equilibria import ContactEquilibria, ContactSlopes, ContactState
+from ctr_nlp.loads.contact_equilibria import ContactEquilibria
+from ctr_nlp.loads.contact_neighbours import ContactNeighbours, ContactSlopes, NearbyRods
+from ctr_nlp.loads.contact_rods import ContactState, ContactStates, signed_probes
 from ctr_nlp.ocp.terms.arrival import ArrivalTerm
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.paths.target import SIGMA_GRID
@@ -43,8 +51,8 @@ MIN_MARGIN_MULTIPLIER_MM2 = 1e-2
 """Least multiplier of a margin, mm^2, for its curvature to count."""
 MAX_STEP_MM = 20.0
 """Longest change of an unknown in a frame, in mm (10 mm a rad): farther off, an equilibrium is another one."""
-CURVATURE_PROBE_MM = 1e-3
-"""Change of an unknown, in mm (10 mm a rad), for differences of first derivatives."""
+CURVATURE_PROBE_MM = 0.01
+"""Change of an unknown, in mm (10 mm a rad), for second differences."""
 
 
 class FrameMultipliers(NamedTuple):
@@ -81,6 +89,14 @@ class FrameDerivatives(NamedTuple):
     hessian: Array
 
 
+class _Costs(NamedTuple):
+    """Costs (..,), mm^2, and their derivatives by points (.., n, 3) and by the total force (..,), N."""
+
+    cost: Array
+    by_points: Array
+    by_total: Array
+
+
 @dataclass
 class ContactFrames:
     """Frames of a problem on a wall, and the equilibria in which the robot is at present.
@@ -88,7 +104,7 @@ class ContactFrames:
     problem: robot and target. equilibria: of its robot. margin: least stability margins (T,). arrival: the term of
     the tip's arrival, or None. states: of the frames, from which others are predicted.
 
-    Unknowns of the frames are the coordinates y of ContactEquilibria.tip_coordinates.
+    Unknowns of the frames are the coordinates y of ContactNeighbours.coordinates.
     """
 
     problem: Problem
@@ -98,9 +114,12 @@ class ContactFrames:
     states: list[ContactState]
 
     def __post_init__(self) -> None:
-        self._y = np.stack([self.equilibria.tip_coordinates(state) for state in self.states])
+        self._nearby = ContactNeighbours(self.equilibria)
+        self._present = ContactStates.stack(self.states)
+        self._y = self._nearby.coordinates(self._present)
         self._ahead = self._y, self.states
         self._slopes: list[ContactSlopes] | None = None
+        self._margins: tuple[ContactStates, Array] | None = None
 
     @property
     def y(self) -> Array:
@@ -109,23 +128,14 @@ class ContactFrames:
 
     def values(self, y: Array) -> FrameValues | None:
         """Return the values at y (T, n); None where a frame has no equilibrium near the present one."""
-        states = self._find(y)
-        if states is None:
+        found = self._find(y)
+        if found is None:
             return None
-        points = [self.equilibria.shape(state, CONTACT_SIGMA) for state in states]
-        forces = [self.equilibria.forces(state) for state in states]
-        cost = np.array(
-            [
-                self._cost(j, shape, force.force.sum())[0]
-                for j, (shape, force) in enumerate(zip(points, forces, strict=True))
-            ]
-        )
-        return FrameValues(
-            np.stack([state.q for state in states]),
-            cost,
-            self.equilibria.margins(states),
-            np.stack([each.at_places for each in forces]),
-        )
+        states = ContactStates.stack(found)
+        forces = self.equilibria.forces(states)
+        shapes = self.equilibria.shapes(states, CONTACT_SIGMA)
+        cost = self._costs(shapes[:, None], forces.force.sum(axis=1)[:, None]).cost[:, 0]
+        return FrameValues(states.q, cost, self._find_margins(states), forces.at_places)
 
     def move_to(self, y: Array) -> bool:
         """Make the equilibria at y (T, n) the present ones; False where a frame has none near the present one."""
@@ -136,6 +146,7 @@ class ContactFrames:
             self._slopes = None
             self._y = y.copy()
             self.states = states
+            self._present = ContactStates.stack(states)
         return True
 
     def derivatives(self, multipliers: FrameMultipliers, curvature: bool = True) -> FrameDerivatives:
@@ -143,38 +154,50 @@ class ContactFrames:
 
         multipliers: in the Lagrangian. curvature: whether its Hessian is wanted; 0 otherwise.
         """
-        if self._slopes is None:
-            self._slopes = self._find_slopes()
-        margins = self.equilibria.margins(self.states)
-        n = self._y.shape[1]
-        margin_by = np.zeros((len(self.states), n))
+        slopes = self._find_slopes()
+        margins = self._find_margins(self._present)
+        count, n = self._y.shape
+        margin_by = np.zeros((count, n))
         counts = np.flatnonzero(margins < self.margin + MARGIN_SLOPE_RANGE)
         if len(counts):
-            margin_by[counts] = self.equilibria.margin_slopes(
-                [self.states[j] for j in counts], [self._slopes[j] for j in counts], margins[counts]
+            margin_by[counts] = self._nearby.margin_slopes(
+                self._present.rows(counts), [slopes[j] for j in counts], margins[counts]
             )
-        found = [self._cost_slopes(j, slopes) for j, slopes in enumerate(self._slopes)]
-        hessian = np.zeros((len(self.states), n, n))
+        costs = self._costs(
+            np.stack([each.points for each in slopes])[:, None],
+            np.array([each.force.sum() for each in slopes])[:, None],
+        )
+        cost_by = np.stack(
+            [
+                np.tensordot(by_points[0], each.points_by, 2) + by_total[0] * each.force_by.sum(axis=0)
+                for each, by_points, by_total in zip(slopes, costs.by_points, costs.by_total, strict=True)
+            ]
+        )
+        hessian = np.zeros((count, n, n))
         if curvature:
-            for j in range(len(self.states)):
-                hessian[j] = self._hessian(j, margins[j], margin_by[j], multipliers)
+            hessian = self._hessians(slopes, costs, margins, margin_by, multipliers)
         return FrameDerivatives(
             FrameValues(
-                np.stack([state.q for state in self.states]),
-                np.array([each[0] for each in found]),
-                margins,
-                np.stack([slopes.force_at_places for slopes in self._slopes]),
+                self._present.q, costs.cost[:, 0], margins, np.stack([each.force_at_places for each in slopes])
             ),
-            np.stack([slopes.q_by for slopes in self._slopes]),
-            np.stack([each[1] for each in found]),
+            np.stack([each.q_by for each in slopes]),
+            cost_by,
             margin_by,
-            np.stack([slopes.places_by for slopes in self._slopes]),
+            np.stack([each.force_at_places_by for each in slopes]),
             hessian,
         )
 
     def _find_slopes(self) -> list[ContactSlopes]:
         """Return the slopes of the present equilibria."""
-        return [self.equilibria.slopes([state], CONTACT_SIGMA)[0] for state in self.states]
+        if self._slopes is None:
+            self._slopes = self._nearby.slopes(self._present, CONTACT_SIGMA)
+        return self._slopes
+
+    def _find_margins(self, states: ContactStates) -> Array:
+        """Return the stability margins (T,) of states."""
+        if self._margins is None or any(map(np.any, map(np.not_equal, self._margins[0], states))):
+            self._margins = states, self.equilibria.margins(states)
+        return self._margins[1]
 
     def _find(self, y: Array) -> list[ContactState] | None:
         """Return the equilibria at y (T, n), predicted from the present ones; None where a frame has none."""
@@ -182,83 +205,101 @@ class ContactFrames:
             return self.states
         if (y == self._ahead[0]).all():
             return self._ahead[1]
-        found = []
-        for j, (state, goal) in enumerate(zip(self.states, y, strict=True)):
-            there = self._at(j, state, goal, self._y[j])
-            if there is None:
-                return None
-            found.append(there)
+        steps = y - self._y
+        if not abs(steps * self.problem.robot.mm_per_unit).max() <= MAX_STEP_MM:
+            return None
+        slopes = self._find_slopes()
+        near = self._nearby.predict(self._present, slopes, steps[:, None])
+        found = [each for each in self._nearby.settle(near, slopes) if each is not None]
+        if len(found) < len(y):
+            return None
         self._ahead = y.copy(), found
         return found
 
-    def _at(self, j: int, state: ContactState, goal: Array, y: Array) -> ContactState | None:
-        """Return the equilibrium of frame j at `goal` (n,), from the state at y (n,); None for none nearby."""
-        if (goal == y).all():
-            return state
-        step = goal - y
-        if not abs(step * self.problem.robot.mm_per_unit).max() <= MAX_STEP_MM:
-            return None
-        if self._slopes is None:
-            self._slopes = self._find_slopes()
-        return self.equilibria.settle(self.equilibria.predict(state, self._slopes[j], step))
+    @cached_property
+    def _targets(self) -> Array:
+        """Points (T, n, 3) of the target at CONTACT_SIGMA, mm."""
+        return np.stack([frame.at(CONTACT_SIGMA) for frame in self.problem.target_frames])
 
-    def _cost(self, j: int, points: Array, total: float) -> tuple[float, Array, Array]:
-        """Return the cost of frame j, mm^2, and its derivatives by points (n, 3) and by the total force, N."""
-        frame = self.problem.target_frames[j]
+    @cached_property
+    def _arrival(self) -> tuple[Array, Array]:
+        """Weight, mm, of the tip's distance from its target in each frame, and the distance that rounds it, mm."""
+        assert self.arrival is not None
+        given = [
+            self.arrival.values(frame.points[-1:], frame.motion_fraction) for frame in self.problem.target_frames
+        ]
+        weights, radii = (
+            np.array([float(each[name]) for each in given])[:, None]
+            for name in ("arrival_weight", "arrival_required")
+        )
+        return weights, radii
+
+    def _costs(self, points: Array, total: Array) -> _Costs:
+        """Return the costs (T, P) of P shapes in each frame; points (T, P, n, 3), mm, total (T, P): force, N."""
         weights = np.full(len(CONTACT_SIGMA), 1.0)
         weights[[0, -1]] = 0.5
         weights /= weights.sum()
-        away = points - frame.at(CONTACT_SIGMA)
-        cost = float(weights @ (away**2).sum(axis=1)) + TOTAL_FORCE_COST_MM2_PER_N2 * total**2
+        away = points - self._targets[:, None]
+        cost = (away**2).sum(axis=-1) @ weights + TOTAL_FORCE_COST_MM2_PER_N2 * total**2
         by_points = 2 * weights[:, None] * away
         if self.arrival is not None:
             # w (sqrt(|a|^2 + r^2) - r) grows like the term in ocp/terms/arrival.py, without its corners: a long
             # robot's angles would have to be kept to 1e-4 rad, and steps would go to and fro across them.
-            given = self.arrival.values(frame.points[-1:], frame.motion_fraction)
-            weight, radius = float(given["arrival_weight"]), float(given["arrival_required"])
-            rounded = float(np.hypot(np.linalg.norm(away[-1]), radius))
+            weight, radius = self._arrival
+            rounded = np.hypot(np.linalg.norm(away[:, :, -1], axis=-1), radius)
             cost += weight * (rounded - radius)
-            by_points[-1] += weight * away[-1] / rounded
-        return cost, by_points, np.asarray(2 * TOTAL_FORCE_COST_MM2_PER_N2 * total)
+            by_points[:, :, -1] += (weight / rounded)[..., None] * away[:, :, -1]
+        return _Costs(cost, by_points, 2 * TOTAL_FORCE_COST_MM2_PER_N2 * total)
 
-    def _cost_slopes(self, j: int, slopes: ContactSlopes) -> tuple[float, Array]:
-        """Return the cost of frame j, mm^2, and its derivatives (n,) by y."""
-        cost, by_points, by_total = self._cost(j, slopes.points, slopes.force.sum())
-        slope = np.tensordot(by_points, slopes.points_by, 2) + by_total * slopes.force_by.sum(axis=0)
-        return cost, slope
+    def _hessians(
+        self,
+        slopes: Sequence[ContactSlopes],
+        costs: _Costs,
+        margins: Array,
+        margin_by: Array,
+        multipliers: FrameMultipliers,
+    ) -> Array:
+        """Return the Hessians (T, n, n) of the frames' Lagrangians over y, by second differences.
 
-    def _hessian(self, j: int, margin: float, margin_by: Array, multipliers: FrameMultipliers) -> Array:
-        """Return the Hessian (n, n) of frame j's Lagrangian over y, by differences of its slope.
-
-        margin_by (n,): slope of its margin by y.
+        slopes, costs: at the present equilibria. margins (T,), margin_by (T, n): stability margins and slopes.
         """
-        assert self._slopes is not None
-        state = self.states[j]
-        slopes = self._slopes[j]
-        of_margin = float(multipliers.margin[j])
-        bent = abs(of_margin) > MIN_MARGIN_MULTIPLIER_MM2 and margin_by.any()
+        d = self.problem.robot.d
+        count, n = self._y.shape
+        probes = CURVATURE_PROBE_MM / self.problem.robot.mm_per_unit * np.ones((count, 1))
+        probes[:, d : 2 * d] = signed_probes(self._present.q[:, d : 2 * d], probes[:, d : 2 * d])
+        first, second = np.triu_indices(n)
+        single = np.eye(n)
+        # Rows: nowhere, along each unknown once, and along two of them, which may be the same.
+        steps = probes[:, None] * np.vstack([np.zeros(n), single, single[first] + single[second]])
+        around = self._nearby.look_around(self._present, slopes, steps, CONTACT_SIGMA)
+        found = self._costs(around.points, around.force.sum(axis=2)).cost
+        found += (multipliers.force[:, None] * around.at_places).sum(axis=2)
+        found += (multipliers.q[:, None, : d - 1] * around.states.q.reshape(count, -1, n)[..., : d - 1]).sum(
+            axis=2
+        )
+        for j, (slope, step) in enumerate(zip(slopes, around.corrections, strict=True)):
+            of_force = costs.by_total[j, 0] + multipliers.force[j] @ slope.places
+            by_u = np.tensordot(costs.by_points[j, 0], slope.points_by_u, 2) + of_force @ slope.force_by_u
+            by_u[3 : d + 2] += multipliers.q[j, : d - 1]
+            # dL/du . (-(dF/du)^-1 F) = l^T F.
+            found[j] += step @ by_u
+        bent = np.flatnonzero((abs(multipliers.margin) > MIN_MARGIN_MULTIPLIER_MM2) & margin_by.any(axis=1))
+        if len(bent):
+            found[bent] += multipliers.margin[bent, None] * self._margins_around(
+                around, slopes, bent, margins[bent, None] + (steps[bent] @ margin_by[bent][..., None])[..., 0]
+            )
+        change = found[:, 1 + n :] - found[:, 1 + first] - found[:, 1 + second] + found[:, :1]
+        hessian = np.zeros((count, n, n))
+        hessian[:, first, second] = hessian[:, second, first] = change / (probes[:, first] * probes[:, second])
+        return hessian
 
-        def slope(at: ContactSlopes, by_margin: Array) -> Array:
-            """Return the slope (n,) of the Lagrangian."""
-            of_q = multipliers.q[j] @ at.q_by + multipliers.force[j] @ at.places_by
-            return np.asarray(self._cost_slopes(j, at)[1] + of_q + of_margin * by_margin)
-
-        probes = self._probes(state.q)
-        steps = np.diag(probes)
-        near = [self.equilibria.predict(state, slopes, step) for step in steps]
-        slopes_near = self.equilibria.slopes(near, CONTACT_SIGMA)
-        by_margin = np.zeros((len(probes), len(probes)))
-        if bent:
-            by_margin = self.equilibria.margin_slopes(near, slopes_near, margin + steps @ margin_by)
-        here = slope(slopes, margin_by if bent else 0 * margin_by)
-        change = np.stack([slope(*each) - here for each in zip(slopes_near, by_margin, strict=True)])
-        found = change / probes[:, None]
-        return np.asarray((found + found.T) / 2)
-
-    def _probes(self, q: Array) -> Array:
-        """Return changes (n,) of the coordinates, rad and mm, that keep the tubes' ends of q (n,) in order."""
-        robot = self.problem.robot
-        probes = CURVATURE_PROBE_MM / robot.mm_per_unit
-        room = np.append(np.diff(robot.split(q)[1]), np.inf)
-        probes[robot.d : 2 * robot.d] *= np.where(room > CURVATURE_PROBE_MM, 1.0, -1.0)
-        return np.asarray(probes)
+    def _margins_around(
+        self, around: NearbyRods, slopes: Sequence[ContactSlopes], frames: Array, guesses: Array
+    ) -> Array:
+        """Return stability margins (m, P) of rods around some frames (m,), from guesses of them (m, P)."""
+        each = guesses.shape[1]
+        rows = (frames[:, None] * each + np.arange(each)).ravel()
+        part = around._replace(
+            states=around.states.rows(rows), corrections=[around.corrections[j] for j in frames]
+        )
+        return self._nearby.margins_around(part, [slopes[j] for j in frames], guesses)

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loads.contact_equilibria import ContactEquilibria, ContactState
+from ctr_nlp.loads.contact_equilibria import ContactEquilibria
 from ctr_nlp.loads.contact_frames import ContactFrames
 from ctr_nlp.loads.contact_program import ContactSolution, contact_chain, solve_contact_chain
+from ctr_nlp.loads.contact_rods import ContactState, ContactStates
 from ctr_nlp.loads.tissue import (
     AIRWAY_WALL_STIFFNESS_N_PER_MM2,
     CONTACT_FORCE_ALLOWED_N,
@@ -115,7 +116,6 @@ def replay_on_wall(
     states = equilibria.follow_motion(way.q, np.tile(Load().numbers(robot.d), (len(way.q), 1)))
     frames = way.frames[: len(states)]
     last_of = np.flatnonzero(np.diff(way.frames, append=-1)[: len(states)] != 0)
-    pieces = [equilibria.forces(state) for state in states]
     count = len(q)
 
     def by_frame(values: Array) -> Array:
@@ -133,21 +133,23 @@ def replay_on_wall(
 
     if not states:
         raise OptionError("in the first frame the robot has no equilibrium on the wall; begin farther outside")
-    shapes = np.stack([equilibria.shape(state, SIGMA_GRID) for state in states])
-    margins = equilibria.margins(states)
-    clearance = wall_clearances(robot, wall, robot.split(np.stack([each.q for each in states]))[1], shapes)
-    place = np.array([each.at_places.max(initial=0.0) for each in pieces])
-    means = np.stack([each.pushes[:, 0] for each in states])
+    every = ContactStates.stack(states)
+    pieces = equilibria.forces(every)
+    shapes = equilibria.shapes(every, SIGMA_GRID)
+    margins = equilibria.margins(every)
+    clearance = wall_clearances(robot, wall, robot.split(every.q)[1], shapes)
+    place = pieces.at_places.max(axis=1, initial=0.0)
+    means = every.pushes[:, :, 0]
     size = np.linalg.norm(means, axis=2, keepdims=True)
     return ContactReplay(
         shape=by_frame(shapes),
-        tip_direction=by_frame(np.stack([each.axes[2] for each in states])),
+        tip_direction=by_frame(every.axes[:, 2]),
         margin=by_frame(margins),
         margin_between=worst(margins, np.fmin),
         clearance=by_frame(clearance),
         clearance_between=worst(clearance, np.fmin),
-        force=by_frame(np.stack([each.force for each in pieces])),
-        along=by_frame(np.stack([each.along for each in pieces])),
+        force=by_frame(pieces.force),
+        along=by_frame(pieces.along),
         direction=by_frame(means / np.where(size > 0, size, 1.0)),
         place=by_frame(place),
         place_between=worst(place, np.fmax),

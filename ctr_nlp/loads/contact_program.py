@@ -18,7 +18,6 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.codegen.batch_evaluator import BatchEvaluator, PythonBatchEvaluator
-from ctr_nlp.loads.contact_equilibria import ContactState
 from ctr_nlp.loads.contact_frames import (
     FORCE_EXCESS_COST_MM2_PER_N,
     MARGIN_SHORTFALL_COST_MM2,
@@ -27,6 +26,7 @@ from ctr_nlp.loads.contact_frames import (
     FrameMultipliers,
     FrameValues,
 )
+from ctr_nlp.loads.contact_rods import ContactState
 from ctr_nlp.ocp.chain import Chain
 from ctr_nlp.ocp.horizon import motion_links
 from ctr_nlp.ocp.joint import tip_step_limits

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.loads.contact_equilibria import ContactEquilibria, ContactState
+from ctr_nlp.loads.contact_equilibria import ContactEquilibria
+from ctr_nlp.loads.contact_rods import ContactState
 from ctr_nlp.loads.rod_pieces import piece_positions
 from ctr_nlp.loads.winkler_wall import WinklerWall
 from ctr_nlp.models.loads import Load, LoadOverTime

@@ -9,7 +9,9 @@ from contact_truth import Bend, Cylinder, solve_contact
 from loaded_plans import TWO
 
 from ctr_nlp import Load, Robot, Tube
-from ctr_nlp.loads.contact_equilibria import CONTACT_FORCE_TOLERANCE_N, ContactEquilibria, ContactState
+from ctr_nlp.loads.contact_equilibria import CONTACT_FORCE_TOLERANCE_N, ContactEquilibria
+from ctr_nlp.loads.contact_neighbours import ContactNeighbours
+from ctr_nlp.loads.contact_rods import ContactState, ContactStates
 from ctr_nlp.loads.winkler_wall import TOE_DEPTH_MM, WinklerWall
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.models.loaded.equilibria import States
@@ -85,7 +87,9 @@ def check_scene(scene):
     apart = np.linalg.norm(equilibria.shape(state, SIGMA_GRID) - points(SIGMA_GRID * length), axis=1)
     assert apart.max() < 0.01
     # Of forces too small to matter, 1 % is less than what the pushes are solved to.
-    assert equilibria.forces(state).force.sum() == pytest.approx(force, rel=0.01, abs=CONTACT_FORCE_TOLERANCE_N)
+    assert equilibria.forces(ContactStates.stack([state])).force.sum() == pytest.approx(
+        force, rel=0.01, abs=CONTACT_FORCE_TOLERANCE_N
+    )
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -108,7 +112,7 @@ def test_cantilever_on_a_rigid_plane_has_the_textbook_force(overlap):
     wall = lumen_along([plane + ROD.tubes[0].outer_diameter / 2 - wide, 0.0, 0.0], [0.0, 0.0, 1.0], wide)
     lean = np.arcsin((plane + overlap) / length)
     equilibria, state = placed(ROD, wall, RIGID_N_PER_MM2, [0.0, length, 0.0, lean], toe=1e-3)
-    (found,) = equilibria.slopes([state], np.ones(1))
+    (found,) = ContactNeighbours(equilibria).slopes(ContactStates.stack([state]), np.ones(1))
     assert found.points[0, 0] == pytest.approx(plane, abs=0.005)
     expected = 3 * ROD.tubes[0].bending_stiffness * overlap / length**3
     assert found.force.sum() == pytest.approx(expected, rel=0.01)
@@ -118,7 +122,7 @@ def test_slopes_are_those_of_equilibria_nearby():
     """Over the coordinates of the tip, and, by the chain rule, over the configuration."""
     q = np.array([0.2, 0.5, 45.0, 70.0, 0.02, 0.1])
     equilibria, state = placed(NITINOL, lumen_along([0, 0, 0], [0, 0.05, 1.0], 4.0), 0.032, q)
-    (found,) = equilibria.slopes([state], SIGMA_GRID)
+    (found,) = ContactNeighbours(equilibria).slopes(ContactStates.stack([state]), SIGMA_GRID)
     assert found.force.sum() > 0.1
     over_q = np.linalg.inv(found.q_by)
     for column in range(len(q)):
@@ -128,11 +132,11 @@ def test_slopes_are_those_of_equilibria_nearby():
         for way in (1, -1):
             there, done = equilibria.follow(state, q + way * step, state.load)
             assert done == 1
-            both += equilibria.slopes([there], SIGMA_GRID)
+            both += ContactNeighbours(equilibria).slopes(ContactStates.stack([there]), SIGMA_GRID)
         ahead, behind = both
         for name, least in (("points", 1.0), ("force", 0.01), ("force_at_places", 0.01)):
             slope = (getattr(ahead, name) - getattr(behind, name)) / 2e-4
-            by = getattr(found, {"force_at_places": "places_by"}.get(name, f"{name}_by")) @ over_q[:, column]
+            by = getattr(found, f"{name}_by") @ over_q[:, column]
             np.testing.assert_allclose(by, slope, atol=1e-3 * max(least, abs(slope).max()))
 
 
@@ -140,17 +144,19 @@ def test_slopes_of_margins_are_those_of_equilibria_nearby():
     robot = with_modulus(Robot((Tube(90, 70, 0.006, 1.6, 1.2), Tube(150, 90, 0.006, 1.0, 0.6))), 60_000)
     q = np.array([0.65, -2.17, 44.6, 72.0, 0.04, -0.03])
     equilibria, state = placed(robot, lumen_along([0, 0, 0], [0, 0, 1.0], 3.0), 0.032, q)
-    assert equilibria.forces(state).force.sum() > 0.01
-    margin = equilibria.margins([state])
-    slopes = equilibria.slopes([state], SIGMA_GRID)
-    (found,) = equilibria.margin_slopes([state], slopes, margin)
+    assert equilibria.forces(ContactStates.stack([state])).force.sum() > 0.01
+    here, nearby = ContactStates.stack([state]), ContactNeighbours(equilibria)
+    margin = equilibria.margins(here)
+    slopes = nearby.slopes(here, SIGMA_GRID)
+    (found,) = nearby.margin_slopes(here, slopes, margin)
     assert abs(found).max() > 0.01
     for column in range(len(q)):
         step = np.zeros(len(q))
         step[column] = 1e-3
-        near = [equilibria.settle(equilibria.predict(state, slopes[0], way * step)) for way in (1, -1)]
+        both = nearby.predict(here, slopes, np.stack([step, -step])[None])
+        near = nearby.settle(both, slopes * 2)
         assert None not in near
-        ahead, behind = equilibria.margins(near)
+        ahead, behind = equilibria.margins(ContactStates.stack(near))
         assert found[column] == pytest.approx((ahead - behind) / 2e-3, abs=1e-3 * max(0.1, abs(found).max()))
 
 
@@ -205,7 +211,9 @@ def test_margin_to_buckling_is_that_of_a_column_on_a_foundation(force, stiffness
         q, load.numbers(1), np.zeros(1), np.eye(3), np.zeros((equilibria.kind.pieces, 2, 3)), 1.0
     )
     expected = column_on_a_foundation(100.0, force, stiffness)
-    assert equilibria.margins([straight], bending=True)[0] == pytest.approx(expected, abs=1e-4)
+    assert equilibria.margins(ContactStates.stack([straight]), bending=True)[0] == pytest.approx(
+        expected, abs=1e-4
+    )
 
 
 def test_margin_vanishes_where_the_robot_snaps_on_the_wall():
@@ -216,8 +224,8 @@ def test_margin_vanishes_where_the_robot_snaps_on_the_wall():
     q[0] = 6.0
     last, done = equilibria.follow(state, q, state.load)
     assert 0 < done < 1
-    assert equilibria.margins([state, last])[0] > 0.9
-    assert equilibria.margins([last])[0] == pytest.approx(0, abs=0.01)
+    assert equilibria.margins(ContactStates.stack([state, last]))[0] > 0.9
+    assert equilibria.margins(ContactStates.stack([last]))[0] == pytest.approx(0, abs=0.01)
     row = np.concatenate([last.load, last.pushes.ravel()])
     dead = States.unknown_states(long.numbers[None], last.q[None], row[None])
     dead = dead._replace(angles=last.angles[None], axes=last.axes[None])
@@ -230,4 +238,4 @@ def test_margin_far_from_the_wall_is_that_of_the_elastic_model():
     equilibria, state = placed(robot, lumen_along([0, 0, 0], [0, 0, 1.0], 60.0), 0.032, q)
     expected = KINEMATIC_MODELS["elastic"].follow(robot, q[None]).stability[0]
     assert expected < 0.99
-    assert equilibria.margins([state])[0] == pytest.approx(expected, abs=1e-4)
+    assert equilibria.margins(ContactStates.stack([state]))[0] == pytest.approx(expected, abs=1e-4)

@@ -8,6 +8,7 @@ from contact_truth import Bend, Cylinder, Plane
 
 from ctr_nlp import Limits, Load, Robot, Tube
 from ctr_nlp.loads.contact_equilibria import ContactEquilibria
+from ctr_nlp.loads.contact_rods import ContactStates
 from ctr_nlp.loads.winkler_wall import WinklerWall
 from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.paths.lumen import Lumen
@@ -100,7 +101,7 @@ def check_scene(seed):
     length = q[2 * robot.d - 1]
     apart = np.linalg.norm(equilibria.shape(state, SIGMA_GRID) - points(SIGMA_GRID * length), axis=1)
     assert apart.max() < 0.2
-    assert equilibria.forces(state).force.sum() == pytest.approx(force, rel=0.05)
+    assert equilibria.forces(ContactStates.stack([state])).force.sum() == pytest.approx(force, rel=0.05)
 
 
 def test_a_random_scene_is_that_of_pyelastica():
