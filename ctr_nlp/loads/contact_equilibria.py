@@ -162,7 +162,9 @@ class ContactEquilibria(ContactRods):
         near = [np.arange(pieces)] * count if near is None else near
         which = np.repeat(np.arange(count), [len(each) for each in near]), np.concatenate(near)
         slope = np.zeros((count, pieces, 3, 3))
-        slope[which] = np.tensordot(self.contacts_of(bodies, *which).slope, self.rule.weights, (1, 0))
+        push = self.contacts_of(bodies, *which)
+        of_points = push.flat_slope if self.searched else push.slope
+        slope[which] = np.tensordot(of_points, self.rule.weights, (1, 0))
         # An energy has a symmetric second derivative; a lumen that tapers presses towards its path all the same.
         slope = (slope + np.swapaxes(slope, 2, 3)) / 2
         forces = np.concatenate([states.pushes.reshape(count, pieces, 6), slope.reshape(count, pieces, 9)], axis=2)

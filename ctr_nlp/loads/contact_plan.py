@@ -18,7 +18,13 @@ import numpy as np
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads.contact_equilibria import ContactEquilibria
 from ctr_nlp.loads.contact_frames import ContactFrames
-from ctr_nlp.loads.contact_program import ContactSolution, contact_chain, solve_contact_chain
+from ctr_nlp.loads.contact_neighbours import ContactNeighbours
+from ctr_nlp.loads.contact_program import (
+    CONTACT_KKT_TOLERANCE,
+    ContactSolution,
+    contact_chain,
+    solve_contact_chain,
+)
 from ctr_nlp.loads.contact_rods import ContactState, ContactStates
 from ctr_nlp.loads.tissue import (
     AIRWAY_WALL_STIFFNESS_N_PER_MM2,
@@ -52,6 +58,12 @@ PLANNED_FORCE_FRACTION = 0.85
 frames."""
 MARGIN_ADDED_AT_SNAP = 0.3
 """Stability margin that the two frames between which the robot snaps are asked for in addition."""
+SOFT_WALL_SHARE = 0.1
+"""Part of the wall's stiffness with which a search begins."""
+SOFT_KKT_TOLERANCE = 1.0
+"""KKT residual at which a search on the soft wall ends, mm^2 per unit of the unknowns: another one follows."""
+LEAST_HARDENING_RATIO = 1.01
+"""Ratio of two stiffnesses, one after the other, below which no equilibrium is looked for on the harder wall."""
 MAX_ROUNDS = 5
 """Most times that a motion is solved again where it fails between frames, with more margin or a lower limit of
 forces."""
@@ -217,38 +229,53 @@ def solve_on_wall(
     assert wall is not None
     begin = time.perf_counter()
     start = solve_horizon(problem, settings=settings, progress=progress) if initial is None else initial
-    # The search needs a law without corners; the motion that it finds is replayed and recorded on the wall itself.
-    smooth = ContactEquilibria(problem.robot, WinklerWall(wall, stiffness, PLANNED_TOE_DEPTH_MM), Load())
     equilibria = ContactEquilibria(problem.robot, WinklerWall(wall, stiffness), Load())
     model = KINEMATIC_MODELS[PHYSICAL_MODEL]
     count = problem.frames
     least = 0.0 if settings.stability_margin is None else settings.stability_margin
+    # A stiff wall would push the robot of a plan that goes through it to somewhere else, from where no search
+    # leads back. The search begins on a soft wall, with a limit as low in proportion, which is then hardened.
+    soft = _searched_on(problem, SOFT_WALL_SHARE * stiffness)
     frames = ContactFrames(
         problem,
-        smooth,
+        soft,
         np.full(count, least),
         find_arrival(with_arrival((), settings, model)),
-        _states_along(smooth, start.q),
+        _states_along(soft, start.q),
     )
     planned = PLANNED_FORCE_FRACTION * limit
 
     def solve() -> tuple[ContactSolution, ContactReplay]:
         """Solve with the margins and the limit as they are, from the equilibria as they are, and replay."""
-        found = solve_contact_chain(contact_chain(frames, planned, float(start.options["motion_weight"])), show)
+        found = search(planned, CONTACT_KKT_TOLERANCE)
         return found, replay_on_wall(equilibria, wall, np.stack([state.q for state in found.states]))
+
+    def search(allowed: float, tolerance: float) -> ContactSolution:
+        """Solve from the equilibria as they are, with forces up to `allowed` N at each place.
+
+        tolerance: residual at which the search ends, mm^2 per unit of the unknowns.
+        """
+        chain = contact_chain(frames, allowed, float(start.options["motion_weight"]))
+        return solve_contact_chain(chain, show, tolerance)
 
     def show(done: int, objective: float) -> None:
         if progress is not None:
             progress(done, done, f"on the wall, objective {objective:.4g} mm²")
 
+    solution = search(SOFT_WALL_SHARE * planned, SOFT_KKT_TOLERANCE)
+    frames = replace(
+        frames,
+        equilibria=_searched_on(problem, stiffness),
+        states=harden(problem, ContactStates.stack(solution.states), SOFT_WALL_SHARE * stiffness, stiffness),
+    )
     solution, replay = solve()
     for _ in range(MAX_ROUNDS):
-        missing = np.maximum(least - np.nan_to_num(replay.margin_between, nan=0.0), 0.0)
-        # Beyond the first snap nothing is known, and nothing more can be asked for. There the branch turns far.
-        lost = np.cumsum(~replay.in_equilibrium)
-        missing[lost == 1] = MARGIN_ADDED_AT_SNAP
-        missing[lost > 1] = 0.0
-        strongest = float(np.nanmax(replay.place_between))
+        kept = follows_plan(solution, replay)
+        missing = np.where(kept, np.maximum(least - np.nan_to_num(replay.margin_between, nan=0.0), 0.0), 0.0)
+        if not kept.all():
+            # There the branch turns far. Beyond, nothing is known, and nothing more can be asked for.
+            missing[kept.argmin()] = MARGIN_ADDED_AT_SNAP
+        strongest = float(replay.place_between[kept].max(initial=0.0))
         if missing.max() <= MARGIN_SLACK and strongest <= limit:
             break
         # Both frames around a sub-step with too small a margin get more, as in plans without contact.
@@ -257,6 +284,56 @@ def solve_on_wall(
         planned *= min(limit / strongest, 1.0) if strongest > 0 else 1.0
         solution, replay = solve()
     return _plan_of(start, solution, replay, problem, limit, stiffness, time.perf_counter() - begin)
+
+
+def is_on_planned_branch(solution: ContactSolution, replay: ContactReplay) -> Flags:
+    """Return the frames (T,) in which the robot that was moved along a solution is where the solution has it."""
+    planned, reached = (
+        np.array([state.angles - state.angles[-1] for state in states])
+        for states in (solution.states, replay.states)
+    )
+    found = np.zeros(len(planned), dtype=bool)
+    known = np.flatnonzero(replay.in_equilibrium)
+    found[known] = abs(reached - planned[known]).max(axis=1) < MAX_REPLAYED_TURN_RAD
+    return found
+
+
+def follows_plan(solution: ContactSolution, replay: ContactReplay) -> Flags:
+    """Return the frames (T,) until a robot that was moved along a solution is elsewhere than the solution."""
+    return np.asarray(np.logical_and.accumulate(is_on_planned_branch(solution, replay)))
+
+
+def _searched_on(problem: Problem, stiffness: float) -> ContactEquilibria:
+    """Return the equilibria among which motions are searched: on a wall whose law has no corners."""
+    assert problem.wall is not None
+    return ContactEquilibria(
+        problem.robot, WinklerWall(problem.wall, stiffness, PLANNED_TOE_DEPTH_MM), Load(), searched=True
+    )
+
+
+def harden(problem: Problem, states: ContactStates, soft: float, hard: float) -> list[ContactState]:
+    """Return equilibria on a wall of stiffness `hard` that have the shapes of states on one of stiffness `soft`.
+
+    Their tips keep their angles (contact_neighbours.py), and their motors hold them against the larger forces.
+    OptionError where that fails.
+    """
+    ratio = hard / soft
+    while soft < hard:
+        harder = min(soft * ratio, hard)
+        nearby = ContactNeighbours(_searched_on(problem, harder))
+        # At the same shape forces grow as the stiffness does.
+        guess = states._replace(pushes=states.pushes * harder / soft)
+        found = [each for each in nearby.settle(guess, nearby.slopes(guess, SIGMA_GRID[-1:])) if each is not None]
+        if len(found) == len(guess.q):
+            soft, states = harder, ContactStates.stack(found)
+        elif ratio < LEAST_HARDENING_RATIO:
+            raise OptionError(
+                f"on a wall of {harder:.3g} N/mm² the robot has no equilibrium near the motion that was found on "
+                "a softer one; give `initial`, or a softer wall"
+            )
+        else:
+            ratio = ratio**0.5
+    return [states.row(j) for j in range(len(states.q))]
 
 
 def check_contact_request(problem: Problem, limit: float, stiffness: float) -> None:
@@ -328,12 +405,7 @@ def _plan_of(
         j = int(known.argmin())
         # Which tubes jump, and how far, is not known: nobody knows where the robot comes to rest.
         snaps = [Snap(frame=j + 1, tubes=(), jump=None)._asdict() | {"tubes": []}]
-    # A frame whose equilibrium is not that of the replay was reached by another way.
-    planned = np.array([state.angles - state.angles[-1] for state in solution.states])
-    reached = np.full_like(planned, np.nan)
-    for k, state in zip(np.flatnonzero(known), replay.states, strict=False):
-        reached[k] = state.angles - state.angles[-1]
-    same = known & (abs(reached - planned).max(axis=1) < MAX_REPLAYED_TURN_RAD)
+    same = known & is_on_planned_branch(solution, replay)
     failures = {str(j + 1): "on the wall, the robot is on another branch" for j in np.flatnonzero(~same)}
     solved = solution.kkt <= KKT_TOLERANCE
     if not solved.all():

@@ -225,11 +225,12 @@ class ContactSolution(NamedTuple):
 def solve_contact_chain(
     chain: ContactChain,
     progress: Callable[[int, float], None] | None = None,
-    barrier: float = WARM_START_BARRIER_MM2,
+    tolerance: float = CONTACT_KKT_TOLERANCE,
 ) -> ContactSolution:
     """Solve a chain from the present equilibria of its frames.
 
-    progress: called with the number of iterations and the objective after each. barrier: the first, mm^2.
+    progress: called with the number of iterations and the objective after each. tolerance: KKT residual at which
+    the search ends, mm^2 per unit of the unknowns.
     """
     frames = chain.on_wall
     assert frames is not None
@@ -247,10 +248,12 @@ def solve_contact_chain(
             progress(iterate.number, iterate.objective)
 
     def converged() -> bool:
-        return reported[0].error <= CONTACT_KKT_TOLERANCE and reported[0].violation <= FEASIBILITY_TOLERANCE
+        return reported[0].error <= tolerance and reported[0].violation <= FEASIBILITY_TOLERANCE
 
     soft = np.column_stack([shortfall, excess]) / SOFT_UNIT + SOFT_START
-    solution = BandedSolver(chain)(np.hstack([frames.y, soft]).ravel(), Watch(report, converged), barrier)
+    solution = BandedSolver(chain)(
+        np.hstack([frames.y, soft]).ravel(), Watch(report, converged), WARM_START_BARRIER_MM2
+    )
     multipliers = np.concatenate([solution.lam_x, solution.lam_g])
     kkt = np.nan_to_num(chain.kkt(solution.x, multipliers), nan=np.inf)
     return ContactSolution(tuple(frames.states), chain.by_frame(solution.x)[0], kkt, solution.status)

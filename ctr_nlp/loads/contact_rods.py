@@ -37,6 +37,8 @@ from ctr_nlp.typing import Array, Index
 QUADRATURE_PANELS = 6
 """Number of equal parts of a piece on which the wall's push is integrated separately. Where a piece begins to
 touch, the push has a corner, which a rule over the whole piece misses: by up to 0.06 mm of the tip's place."""
+SEARCHED_PANELS = 2
+"""The same in searches for motions, whose wall has no corners."""
 _LOBATTO_PARTS = np.array([0.0, (1 - np.sqrt(3 / 7)) / 2, 0.5, (1 + np.sqrt(3 / 7)) / 2, 1.0])
 _LOBATTO_WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180
 PLACE_LENGTH_MM = 10.0
@@ -158,14 +160,16 @@ class ContactSystem(NamedTuple):
 class ContactRods:
     """Rods of one robot that lean on a wall. Not to be used from several threads at once.
 
-    robot: with moduli in MPa. wall: the foundation. load: what else acts, which decides the kind of rods. panels:
-    parts of a piece on which the wall's push is integrated separately.
+    robot: with moduli in MPa. wall: the foundation. load: what else acts, which decides the kind of rods.
+    searched: whether motions are searched among these rods, by a smooth law of the wall, instead of judged. Fewer
+    points will do then, and stability margins leave the wall's curvature out: the third derivatives of a distance
+    field jump from cell to cell, and slopes of margins would jump with them.
     """
 
     robot: Robot
     wall: WinklerWall
     load: Load | LoadOverTime
-    panels: int = QUADRATURE_PANELS
+    searched: bool = False
 
     @cached_property
     def kind(self) -> RodKind:
@@ -180,7 +184,7 @@ class ContactRods:
     @property
     def rule(self) -> QuadratureRule:
         """Points of a piece at which the wall's push is taken."""
-        return piece_rule(self.panels)
+        return piece_rule(SEARCHED_PANELS if self.searched else QUADRATURE_PANELS)
 
     def bodies(self, states: ContactStates) -> ContactBodies:
         """Integrate the rods of T states from their tips."""
@@ -197,20 +201,20 @@ class ContactRods:
         force = np.linalg.norm(states.pushes[:, :, 0], axis=2) * lengths
         return PieceForces(along, force, (place_matrix(along, lengths) @ force[..., None])[..., 0])
 
+    def samples(self, bodies: ContactBodies) -> tuple[Array, Array]:
+        """Return the points (T, K, M, 3) of all pieces of T rods, and the robot's radii there (T, K, M), mm."""
+        count, pieces = bodies.lengths.shape
+        found = self._samples_of(bodies, np.repeat(np.arange(count), pieces), np.tile(np.arange(pieces), count))
+        points, radius = (each.reshape(count, pieces, *each.shape[1:]) for each in found)
+        return points, radius
+
     def contacts(self, bodies: ContactBodies) -> WallPush:
         """Return what the wall does to the points (T, K, M) of all pieces of T rods."""
-        count, pieces = bodies.lengths.shape
-        rows = np.repeat(np.arange(count), pieces)
-        found = self.contacts_of(bodies, rows, np.tile(np.arange(pieces), count))
-        return WallPush(*(each.reshape(count, pieces, *each.shape[1:]) for each in found))
+        return self.wall.push(*self.samples(bodies))
 
     def contacts_of(self, bodies: ContactBodies, rows: Index, pieces: Index) -> WallPush:
         """Return what the wall does to the points (N, M) of some pieces (N,) of some rods (N,)."""
-        middles = np.cumsum(bodies.lengths, axis=1) - bodies.lengths / 2
-        # One tube is the outermost along a whole piece. At its ends, where samples are, rounding would decide.
-        radius = outermost_tube_radii(self.robot, bodies.beta, middles / bodies.beta[:, -1:])[rows, pieces]
-        samples = self._term_weights @ self.curve_terms(bodies)[rows, pieces]
-        return self.wall.push(samples, np.repeat(radius[:, None], samples.shape[1], axis=1))
+        return self.wall.push(*self._samples_of(bodies, rows, pieces))
 
     def systems(
         self, states: ContactStates, near: Sequence[Index], contact: WallPush, share: float = 1.0
@@ -306,6 +310,14 @@ class ContactRods:
         part = (s - ends[rows, piece] + lengths) / np.where(lengths > EMPTY_PIECE_MM, lengths, np.inf)
         weights = _integrals(part, self.kind.steps)
         return np.asarray(starts[rows, piece] + (weights[:, :, None] @ coefficients[rows, piece])[:, :, 0])
+
+    def _samples_of(self, bodies: ContactBodies, rows: Index, pieces: Index) -> tuple[Array, Array]:
+        """Return the points (N, M, 3) of some pieces of some rods, and the robot's radii there (N, M), mm."""
+        middles = np.cumsum(bodies.lengths, axis=1) - bodies.lengths / 2
+        # One tube is the outermost along a whole piece. At its ends, where samples are, rounding would decide.
+        radius = outermost_tube_radii(self.robot, bodies.beta, middles / bodies.beta[:, -1:])[rows, pieces]
+        samples = self._term_weights @ self.curve_terms(bodies)[rows, pieces]
+        return samples, np.repeat(radius[:, None], samples.shape[1], axis=1)
 
     def _integrate(self, angles: Array, axes: Array, beta: Array, pushes: Array, load: Array) -> ContactBodies:
         """Integrate T rods from tips with angles (T, d) and axes (T, 3, 3) at extensions (T, d), mm.

@@ -80,7 +80,7 @@ class Foundation:
         found["depth"][j] = np.maximum(wall.beyond.max(axis=1), 0.0)
         found["force"][j] = size * found["length"][j]
         found["towards"][j] = means / np.where(size > 0, size, 1.0)[:, None]
-        found["narrow"][j] = wall.narrow.any(axis=1)
+        found["narrow"][j] = self.equilibria.find_narrow_pieces(state)
         found["shape"][j] = self.equilibria.shape(state, SIGMA_GRID)
         found["missed"][j] = self.equilibria.force_mismatch(state)
 

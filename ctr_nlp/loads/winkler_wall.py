@@ -10,6 +10,14 @@ tangent, kappa its curvature vector and r' the growth of the lumen's radius alon
 
 The last one holds between the path's ends; beyond them c stays.
 
+The wall of a body is known by its signed distance d(p), positive inside (paths/distance_field.py). Its depth is
+D = r - d for a robot of radius r, and it presses with
+
+    w = k P(D) grad d,   dw/dp = k (P(D) hess d - P'(D) grad d grad d^T),
+
+the slope of an energy. The gradient's length is 1, but for the middle of a lumen, where it vanishes smoothly, so
+that both sides of a lumen that is narrower than the robot press. Of several walls each presses on the robot.
+
 Winkler's P(D) is max(0, D). Here its slope grows smoothly from 0 to 1 over a toe of h mm around depth 0,
 
     P'(D) = 3 x^2 - 2 x^3,   P(D) = h (x^3 - x^4 / 2),   x = 1 / 2 + D / h in [0, 1],   and beyond   P(D) = D,
@@ -28,7 +36,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.ocp.compiled_wall import WallDistance
-from ctr_nlp.paths.walls import WallGeometry
+from ctr_nlp.paths.lumen import LumenProjection
+from ctr_nlp.paths.walls import WallGeometry, Walls
 from ctr_nlp.typing import Array, Flags
 
 NEGLIGIBLE_DISTANCE_MM = 1e-9
@@ -46,14 +55,14 @@ class WallPush(NamedTuple):
     """Depth and push of a wall at points (..,) of a robot's axis, and the push's slope.
 
     beyond (..,): how far the robot's surface is beyond the wall, mm, negative where it does not touch. push (..,
-    3): force per length on the robot, N/mm. slope (.., 3, 3): its derivative by the point, N/mm per mm. narrow
-    (..,): where the lumen is narrower than the robot.
+    3): force per length on the robot, N/mm. slope (.., 3, 3): its derivative by the point, N/mm per mm; flat_slope
+    (.., 3, 3): the same of a wall that is flat around each point.
     """
 
     beyond: Array
     push: Array
     slope: Array
-    narrow: Flags
+    flat_slope: Array
 
 
 @dataclass(frozen=True)
@@ -70,12 +79,38 @@ class WinklerWall:
 
     @cached_property
     def _distance(self) -> WallDistance:
-        """The wall as C reads it."""
+        """All walls as C reads them."""
         return WallDistance(self.geometry)
 
+    @cached_property
+    def _lumen_distance(self) -> WallDistance | None:
+        """The lumen around a path, where that is a wall."""
+        lumen = self.geometry.lumen if isinstance(self.geometry, Walls) else self.geometry
+        return None if lumen is None else WallDistance(lumen)
+
     def push(self, points: Array, radius: Array) -> WallPush:
-        """Return what the wall does to points (.., 3), mm, of a robot of these radii (..,), mm."""
-        near = self._distance.project(points)
+        """Return what the walls do to points (.., 3), mm, of a robot of these radii (..,), mm."""
+        beyond = np.full(points.shape[:-1], -np.inf)
+        push, slope, flat = np.zeros(points.shape), *np.zeros((2, *points.shape, 3))
+        if self._lumen_distance is not None:
+            near = self._lumen_distance.project(points)
+            beyond, push, slope, flat = self._push_of_path(near, points, radius)
+        for room, gradient, hessian in self._distance.evaluate_bodies(points):
+            depth = radius - room
+            pressed, hardness = _compress(depth, self.toe)
+            beyond = np.maximum(beyond, depth)
+            push = push + self.stiffness * pressed[..., None] * gradient
+            hardened = self.stiffness * hardness[..., None, None] * _outer(gradient, gradient)
+            slope = slope + self.stiffness * pressed[..., None, None] * hessian - hardened
+            flat = flat - hardened
+        return WallPush(beyond, push, slope, flat)
+
+    def is_narrower(self, points: Array, radius: Array) -> Flags:
+        """Return whether the lumen at points (.., 3), mm, is narrower than a robot of these radii (..,), mm."""
+        return np.asarray(radius > self._distance.project(points).radius)
+
+    def _push_of_path(self, near: LumenProjection, points: Array, radius: Array) -> WallPush:
+        """Return what the lumen around a path does to points; near: the path there."""
         over = radius - near.radius
         pressed, hardness = _compress(over + near.distance, self.toe)
         pressed_behind, hardness_behind = _compress(over - near.distance, self.toe)
@@ -90,8 +125,9 @@ class WinklerWall:
         follows = np.where(inside, 1.0 / stretch, 0.0)[..., None, None]
         turning = np.eye(3) - _outer(e, e) - follows * _outer(near.tangent, near.tangent)
         # e turns by (I - e e^T)(da) / |a|; t is perpendicular to e, so that the product has three terms.
-        slope = -self.stiffness * (_outer(e, growth) + (amount / away)[..., None, None] * turning)
-        return WallPush(over + near.distance, -self.stiffness * amount[..., None] * e, slope, over > 0)
+        flat = -self.stiffness * _outer(e, growth)
+        slope = flat - self.stiffness * (amount / away)[..., None, None] * turning
+        return WallPush(over + near.distance, -self.stiffness * amount[..., None] * e, slope, flat)
 
 
 def _compress(depth: Array, toe: float) -> tuple[Array, Array]:

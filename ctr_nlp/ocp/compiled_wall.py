@@ -55,6 +55,8 @@ _WALL_WORK_FIELDS = "x", "load", "at", "kept_x", "kept_load", "kept"
 
 _PROJECTION_SIZES = 1, 1, 3, 3, 3, 3, 1, 1, 1
 """Numbers of each field of LumenProjection, in the order in which look_beside of wall.c writes them."""
+_FIELD_NUMBERS = 13
+"""Numbers that evaluate_beside of wall.c writes for a point: distance, gradient and Hessian."""
 
 
 # Order and types of the fields must be those of the struct in C: nothing checks them, and a mismatch reads other
@@ -281,23 +283,45 @@ class WallDistance:
         if cache.unavailable_reason():
             near = self._geometry.project(points)
             return np.asarray(near.radius - near.distance)
-        # C reads and writes plain rows of doubles.
-        points, found = np.ascontiguousarray(points, dtype=float), np.empty(points.shape[:-1])
         call = cache.load_c_files(__package__, "wall.c").left_beside
-        call(ctypes.byref(self._wall), ctypes.c_long(found.size), points.ctypes, found.ctypes)
-        return found
+        return _call_beside(call, ctypes.byref(self._wall), points, 1)[..., 0]
 
     def project(self, points: Array) -> LumenProjection:
         """Return the nearest wall at points (.., 3), mm, as a path with a radius; NaN at points that are NaN."""
         if cache.unavailable_reason():
             return self._geometry.project(points)
-        points = np.ascontiguousarray(points, dtype=float)
-        found = np.empty((*points.shape[:-1], sum(_PROJECTION_SIZES)))
-        call = cache.load_c_files(__package__, "wall.c").look_beside
-        call(ctypes.byref(self._wall), ctypes.c_long(points.size // 3), points.ctypes, found.ctypes)
+        library = cache.load_c_files(__package__, "wall.c")
+        found = _call_beside(library.look_beside, ctypes.byref(self._wall), points, sum(_PROJECTION_SIZES))
         parts = np.split(found, np.cumsum(_PROJECTION_SIZES)[:-1], axis=-1)
         sizes = zip(parts, _PROJECTION_SIZES, strict=True)
         return LumenProjection(*(part[..., 0] if size == 1 else part for part, size in sizes))
+
+    def evaluate_bodies(self, points: Array) -> list[tuple[Array, Array, Array]]:
+        """Return the room at points (.., 3), mm, beside each body (..,), mm, its gradient (.., 3) and Hessian.
+
+        The Hessian is (.., 3, 3), 1/mm. The room is the signed distance less the margin, positive where the robot
+        may be.
+        """
+        geometry = self._geometry
+        bodies = geometry.bodies if isinstance(geometry, Walls) else ()
+        if cache.unavailable_reason():
+            flat, shape = points.reshape(-1, 3), points.shape[:-1]
+            each = [(body.sign, body.margin, body.field.evaluate(flat)) for body in bodies]
+            return [
+                (
+                    (sign * distance - margin).reshape(shape),
+                    sign * gradient.reshape(*shape, 3),
+                    sign * hessian.reshape(*shape, 3, 3),
+                )
+                for sign, margin, (distance, gradient, hessian) in each
+            ]
+        call = cache.load_c_files(__package__, "wall.c").evaluate_beside
+        size = ctypes.sizeof(_FieldStruct)
+        found = [
+            _call_beside(call, ctypes.c_void_p(self._tables.field + k * size), points, _FIELD_NUMBERS)
+            for k in range(self._tables.fields)
+        ]
+        return [(each[..., 0], each[..., 1:4], each[..., 4:].reshape(*each.shape[:-1], 3, 3)) for each in found]
 
     def clearances(self, robot: Robot, beta: Array, shape: Array, sigma: Array) -> Array:
         """Return the clearance between the wall and a robot's outermost tube, (.., T, n) mm.
@@ -306,6 +330,15 @@ class WallDistance:
         there are none.
         """
         return np.asarray(self(shape) - outermost_tube_radii(robot, beta, sigma))
+
+
+def _call_beside(call: Any, wall: Any, points: Array, count: int) -> Array:
+    """Return what C finds with a wall at points (.., 3), mm: so many numbers for each, (.., count)."""
+    # C reads and writes plain rows of doubles.
+    points = np.ascontiguousarray(points, dtype=float)
+    found = np.empty((*points.shape[:-1], count))
+    call(wall, ctypes.c_long(points.size // 3), points.ctypes, found.ctypes)
+    return found
 
 
 def _arc_length_coefficients(d: int, count: int, samples: int) -> Array:

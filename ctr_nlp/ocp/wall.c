@@ -8,6 +8,7 @@
 #define SPARE 4      /* mm beyond the nearest of the table that is kept in mind for the next point */
 #define COLUMNS 13   /* of what describes a place, as in terms/lumen.py */
 #define PROJECTED 17 /* numbers of what look_beside finds for a point */
+#define FIELD_NUMBERS 13 /* and evaluate_beside */
 #define BLOCK 8      /* cells along each side of a block, as in paths/distance_field.py */
 #define SIDE 11      /* coefficients along each side of a block */
 
@@ -415,4 +416,11 @@ void look_beside(const Wall *w, long count, const double *points, double *found)
         memcpy(found + 8, near.curvature, 3 * sizeof *found), memcpy(found + 11, near.bend, 3 * sizeof *found);
         found[14] = near.taper, found[15] = near.behind, found[16] = near.ahead;
     }
+}
+
+/* Signed distance, less the margin, from so many points to a field's surface, mm, its slope and its second derivatives
+   (3, 3) by rows: FIELD_NUMBERS numbers for each point. */
+void evaluate_beside(const Field *f, long count, const double *points, double *found) {
+    for (long i = 0; i < count; ++i, found += FIELD_NUMBERS)
+        found[0] = evaluate_field(f, points + 3 * i, found + 1, found + 4) - f->margin;
 }
