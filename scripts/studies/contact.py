@@ -103,7 +103,7 @@ def describe(plan: Plan) -> dict[str, Any]:
     return {
         "tip_mm": round(float(verdicts.arrives.number or 0.0), 3),
         "contact_mm": round(max(0.0, -float(np.nanmin(plan.clearance_between))), 3),
-        "reached": "no" if verdicts.failed_names else "yes",
+        "reached": "yes" if verdicts.end_reached_as_described else "no",
     }
 
 
