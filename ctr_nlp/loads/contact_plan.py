@@ -19,12 +19,7 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads.contact_equilibria import ContactEquilibria
 from ctr_nlp.loads.contact_frames import ContactFrames
 from ctr_nlp.loads.contact_neighbours import ContactNeighbours
-from ctr_nlp.loads.contact_program import (
-    CONTACT_KKT_TOLERANCE,
-    ContactSolution,
-    contact_chain,
-    solve_contact_chain,
-)
+from ctr_nlp.loads.contact_program import ContactSolution, contact_chain, solve_contact_chain
 from ctr_nlp.loads.contact_rods import ContactState, ContactStates
 from ctr_nlp.loads.tissue import (
     AIRWAY_WALL_STIFFNESS_N_PER_MM2,
@@ -60,8 +55,8 @@ MARGIN_ADDED_AT_SNAP = 0.3
 """Stability margin that the two frames between which the robot snaps are asked for in addition."""
 SOFT_WALL_SHARE = 0.1
 """Part of the wall's stiffness with which a search begins."""
-SOFT_KKT_TOLERANCE = 1.0
-"""KKT residual at which a search on the soft wall ends, mm^2 per unit of the unknowns: another one follows."""
+LEAST_SOFT_GAIN = 0.01
+"""Part of the objective that iterations on the soft wall must gain to go on: another search follows."""
 LEAST_HARDENING_RATIO = 1.01
 """Ratio of two stiffnesses, one after the other, below which no equilibrium is looked for on the harder wall."""
 MAX_ROUNDS = 5
@@ -243,26 +238,26 @@ def solve_on_wall(
         find_arrival(with_arrival((), settings, model)),
         _states_along(soft, start.q),
     )
-    planned = PLANNED_FORCE_FRACTION * limit
+    planned = np.full(count, PLANNED_FORCE_FRACTION * limit)
 
     def solve() -> tuple[ContactSolution, ContactReplay]:
         """Solve with the margins and the limit as they are, from the equilibria as they are, and replay."""
-        found = search(planned, CONTACT_KKT_TOLERANCE)
+        found = search(planned)
         return found, replay_on_wall(equilibria, wall, np.stack([state.q for state in found.states]))
 
-    def search(allowed: float, tolerance: float) -> ContactSolution:
-        """Solve from the equilibria as they are, with forces up to `allowed` N at each place.
+    def search(allowed: Array, least_gain: float = 0.0) -> ContactSolution:
+        """Solve from the equilibria as they are, with forces up to `allowed` (T,) N at each place.
 
-        tolerance: residual at which the search ends, mm^2 per unit of the unknowns.
+        least_gain: as of solve_contact_chain.
         """
         chain = contact_chain(frames, allowed, float(start.options["motion_weight"]))
-        return solve_contact_chain(chain, show, tolerance)
+        return solve_contact_chain(chain, show, least_gain)
 
     def show(done: int, objective: float) -> None:
         if progress is not None:
             progress(done, done, f"on the wall, objective {objective:.4g} mm²")
 
-    solution = search(SOFT_WALL_SHARE * planned, SOFT_KKT_TOLERANCE)
+    solution = search(SOFT_WALL_SHARE * planned, LEAST_SOFT_GAIN)
     frames = replace(
         frames,
         equilibria=_searched_on(problem, stiffness),
@@ -278,10 +273,12 @@ def solve_on_wall(
         strongest = float(replay.place_between[kept].max(initial=0.0))
         if missing.max() <= MARGIN_SLACK and strongest <= limit:
             break
-        # Both frames around a sub-step with too small a margin get more, as in plans without contact.
+        # Both frames around a sub-step with too small a margin get more, as in plans without contact; the same for
+        # forces.
         more = np.maximum(missing, np.append(missing[1:], 0.0))
+        beyond = np.where(kept, np.maximum(replay.place_between / limit, 1.0), 1.0)
+        planned = planned / np.maximum(beyond, np.append(beyond[1:], 1.0))
         frames = replace(frames, margin=frames.margin + 1.2 * more, states=list(solution.states))
-        planned *= min(limit / strongest, 1.0) if strongest > 0 else 1.0
         solution, replay = solve()
     return _plan_of(start, solution, replay, problem, limit, stiffness, time.perf_counter() - begin)
 

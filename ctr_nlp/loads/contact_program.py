@@ -41,6 +41,8 @@ MARGIN_SHORTFALL, FORCE_EXCESS = -2, -1
 """Positions of s_M and s_P among the unknowns of a frame."""
 CONTACT_KKT_TOLERANCE = 2e-3
 """KKT residual at which a search ends, mm^2 per unit of the unknowns, a fifth of what counts as solved."""
+GAIN_ITERATIONS = 10
+"""Iterations over which a search's gain is measured."""
 SOFT_UNIT = 0.01
 """Size of s_M and s_P, and N, that a unit of their unknowns stands for: with large units the solver's merit
 function would weigh all curved rows with the large costs of these two, and steps would be short."""
@@ -160,8 +162,11 @@ class _Evaluators:
         return np.column_stack([found.q[:, : d - 1], gaps, margin, force])
 
 
-def contact_chain(frames: ContactFrames, limit: float, motion_weight: float) -> ContactChain:
-    """Build the chain of frames on a wall; limit: largest force at a place, N; motion_weight: lambda, s^2."""
+def contact_chain(frames: ContactFrames, limits: Array, motion_weight: float) -> ContactChain:
+    """Build the chain of frames on a wall.
+
+    limits (T,): largest forces at a place, N. motion_weight: lambda, s^2.
+    """
     problem = frames.problem
     robot = problem.robot
     count = problem.frames
@@ -186,7 +191,7 @@ def contact_chain(frames: ContactFrames, limit: float, motion_weight: float) -> 
                 "gaps between tubes' ends", ca.diff(x[d : 2 * d]), np.zeros(inner), robot.max_extension_differences
             ),
             Constraint("stability margin", any_function, np.zeros(1), np.full(1, np.inf)),
-            Constraint("force at a place", ca.repmat(any_function, pieces, 1), -infinite, np.full(pieces, limit)),
+            Constraint("force at a place", ca.repmat(any_function, pieces, 1), -infinite, np.zeros(pieces)),
         ),
         # Angles at the tip are picked along with q: links limit their steps, so that no frame is on another
         # branch.
@@ -195,6 +200,7 @@ def contact_chain(frames: ContactFrames, limit: float, motion_weight: float) -> 
     )
     low, high = (np.tile(bound, (count, 1)) for bound in frame.g_bounds)
     low[:, 2 * d - 2] = frames.margin
+    high[:, 2 * d - 1 :] = limits[:, None]
     return ContactChain(
         frame,
         (*robot.axes, *names[:inner]),
@@ -225,12 +231,12 @@ class ContactSolution(NamedTuple):
 def solve_contact_chain(
     chain: ContactChain,
     progress: Callable[[int, float], None] | None = None,
-    tolerance: float = CONTACT_KKT_TOLERANCE,
+    least_gain: float = 0.0,
 ) -> ContactSolution:
     """Solve a chain from the present equilibria of its frames.
 
-    progress: called with the number of iterations and the objective after each. tolerance: KKT residual at which
-    the search ends, mm^2 per unit of the unknowns.
+    progress: called with the number of iterations and the objective after each. least_gain: part of the objective
+    by which the last GAIN_ITERATIONS must have lowered it for the search to go on.
     """
     frames = chain.on_wall
     assert frames is not None
@@ -243,12 +249,16 @@ def solve_contact_chain(
     reported = list[Iterate]()
 
     def report(iterate: Iterate) -> None:
-        reported[:] = [iterate]
+        reported.append(iterate)
         if progress is not None:
             progress(iterate.number, iterate.objective)
 
     def converged() -> bool:
-        return reported[0].error <= tolerance and reported[0].violation <= FEASIBILITY_TOLERANCE
+        last = reported[-1]
+        earlier = reported[-min(len(reported), GAIN_ITERATIONS)].objective
+        gained = len(reported) < GAIN_ITERATIONS or earlier - last.objective >= least_gain * earlier
+        slow = least_gain > 0 and not gained
+        return slow or (last.error <= CONTACT_KKT_TOLERANCE and last.violation <= FEASIBILITY_TOLERANCE)
 
     soft = np.column_stack([shortfall, excess]) / SOFT_UNIT + SOFT_START
     solution = BandedSolver(chain)(
