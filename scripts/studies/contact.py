@@ -2,9 +2,11 @@
 
 python scripts/studies/contact.py MASK FILE.csv --from-carina [--robot stock_1] [--ends 20] [--frames 25]
 
-Each end gets two plans for the robot as described: one that may touch the wall by so many mm, and one that begins
-with it and may lean on the wall with so much force. Both are moved along the wall in ten sub-steps a frame, and
-the largest force at a place is found. A row is written for each end as it is done; ends in the file are left.
+Each end gets up to three plans for the robot as described: one that may touch the wall by so many mm ("avoids"), one
+that begins with it and may lean on the wall with so much force ("leans"), and, where that one presses harder than
+half as much as the first, one that may press half as much ("halves"). All are moved along the wall in ten sub-steps a
+frame, and the largest force at a place is found. A row is written for each end as it is done; ends in the file are
+left.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp import CtrError, Plan, Problem, solve_horizon, solve_on_wall
+from ctr_nlp import CtrError, Plan, Problem, Settings, solve_horizon, solve_on_wall
 from ctr_nlp.anatomy.lumen_tree import LumenTree, read_lumen_tree
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads.contact_equilibria import ContactEquilibria
@@ -29,12 +31,16 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.robot.shipped import read_robot
 from ctr_nlp.support.tables import write_csv
 
+HALF = 0.5 + 1e-3
+"""Part of a force that counts as half of it: forces are rounded in the table."""
 NITINOL_MPA = 60_000.0
 """Young's modulus of tubes whose file tells none."""
 COLUMNS = (
     *("robot", "end", "room_mm", "avoids_tip_mm", "avoids_contact_mm", "avoids_reached", "avoids_force_N"),
     *("leans_tip_mm", "leans_contact_mm", "leans_reached", "leans_force_N", "leans_margin"),
-    *("leans_margin_without_wall", "leans_failed", "process_s"),
+    *("leans_margin_without_wall", "leans_failed"),
+    *("halves_tip_mm", "halves_contact_mm", "halves_reached", "halves_force_N", "halves_margin"),
+    *("halves_margin_without_wall", "halves_failed", "process_s"),
 )
 
 
@@ -75,22 +81,29 @@ def compare_plans(problem: Problem, limit: float) -> dict[str, Any]:
     """Plan to an end with and without leaning on the wall; return the columns of its row."""
     begin = time.process_time()
     avoids = solve_horizon(problem)
-    found = {f"avoids_{name}": value for name, value in describe(avoids).items()}
-    found["avoids_force_N"] = peak_force(problem, avoids)
-    try:
-        leans = solve_on_wall(problem, limit, initial=avoids)
-    except OptionError as error:
-        return found | {"leans_failed": str(error), "process_s": round(time.process_time() - begin)}
-    found |= {f"leans_{name}": value for name, value in describe(leans).items()}
-    assert leans.place_force_between is not None
-    assert leans.stability_without_wall is not None
-    found |= {
-        "leans_force_N": round(float(np.nanmax(leans.place_force_between)), 4),
-        "leans_margin": round(float(np.min(leans.stability_between)), 4),
-        "leans_margin_without_wall": round(float(np.min(leans.stability_without_wall)), 4),
-        "leans_failed": " ".join(leans.verdicts.failed_names),
-    }
+    found: dict[str, Any] = {f"avoids_{name}": value for name, value in describe(avoids).items()}
+    force = found["avoids_force_N"] = peak_force(problem, avoids)
+    found |= lean("leans", problem, avoids, limit)
+    if isinstance(force, float) and force > 0 and found.get("leans_force_N", 0.0) > force / 2:
+        found |= lean("halves", problem, avoids, force / 2)
     return found | {"process_s": round(time.process_time() - begin)}
+
+
+def lean(way: str, problem: Problem, avoids: Plan, limit: float) -> dict[str, Any]:
+    """Return the columns called `way`: of a plan that leans on the wall with at most `limit` N at a place."""
+    try:
+        plan = solve_on_wall(problem, limit, initial=avoids)
+    except OptionError as error:
+        return {f"{way}_failed": str(error)}
+    assert plan.place_force_between is not None
+    assert plan.stability_without_wall is not None
+    found = describe(plan) | {
+        "force_N": round(float(np.nanmax(plan.place_force_between)), 4),
+        "margin": round(float(np.min(plan.stability_between)), 4),
+        "margin_without_wall": round(float(np.min(plan.stability_without_wall)), 4),
+        "failed": " ".join(plan.verdicts.failed_names),
+    }
+    return {f"{way}_{name}": value for name, value in found.items()}
 
 
 def describe(plan: Plan) -> dict[str, Any]:
@@ -127,15 +140,25 @@ def read_rows(table: Path) -> list[dict[str, str]]:
 
 
 def summarise(rows: list[dict[str, str]]) -> None:
-    """Print how many ends are reached either way, and by how much leaning lowers the largest force."""
+    """Print how many ends are reached either way, and at how many leaning halves the largest force."""
     for name in dict.fromkeys(row["robot"] for row in rows):
         own = [row for row in rows if row["robot"] == name]
         reached = [sum(row[f"{way}_reached"] == "yes" for row in own) for way in ("avoids", "leans")]
         print(f"{name}: {len(own)} ends, {reached[0]} reached free of the wall, {reached[1]} leaning on it")
-        both = [row for row in own if row["avoids_force_N"] not in ("", "snaps", "0.0") and row["leans_force_N"]]
-        ratios = [float(row["leans_force_N"]) / float(row["avoids_force_N"]) for row in both]
-        if ratios:
-            print(f"  largest force, leaning to not leaning: median {np.median(ratios):.2f} of {len(ratios)} ends")
+        known = [row for row in own if row["avoids_force_N"] not in ("", "snaps", "0.0")]
+        halved = sum(is_halved(row) for row in known)
+        print(f"  {halved} of {len(known)} are reached as near with half of the largest force, or less")
+
+
+def is_halved(row: dict[str, str]) -> bool:
+    """Return whether a plan that leans on the wall has half of the force of the one that avoids it, as near its end.
+
+    The limit of arrival counts as near, too.
+    """
+    near = max(float(row["avoids_tip_mm"]), Settings().arrival_tolerance)
+    ways = [way for way in ("leans", "halves") if row[f"{way}_force_N"]]
+    most = HALF * float(row["avoids_force_N"])
+    return any(float(row[f"{way}_force_N"]) <= most and float(row[f"{way}_tip_mm"]) <= near for way in ways)
 
 
 if __name__ == "__main__":

@@ -18,8 +18,10 @@ from ctr_nlp.cli import plan_report
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp.settings import THRESHOLDS
+from ctr_nlp.paths.distance_field import BLOCK_NODES, DistanceField, make_grid
 from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.target import SIGMA_GRID
+from ctr_nlp.paths.walls import Body
 from ctr_nlp.plan import verdicts
 from ctr_nlp.plan.measures import DeepestPoint
 from ctr_nlp.plan.motion_evaluation import evaluate_motion
@@ -101,6 +103,14 @@ def test_the_cost_of_clearance_is_reported_in_percent():
     known = {"free": np.tile(OUT, (1, 1)), "meta": {"e3_free": 1.25}}
     why = shifted(1.75, **known).verdicts.solved.why
     assert "Keeping off the wall costs 40.0 % of e3." in why
+    # Nothing is said where either of both errors is not known, or where the plan is judged otherwise than planned.
+    unknown = (
+        shifted(1.75, meta={"e3_free": 1.25}),
+        shifted(1.75, free=np.tile(OUT, (1, 1)), meta={"e3_free": 0.0}),
+        shifted(np.nan, **known),
+        shifted(1.75, free=np.tile(OUT, (1, 1)), meta={"e3_free": 1.25, "evaluated": "dominant"}),
+    )
+    assert not any("Keeping off" in plan.verdicts.solved.why for plan in unknown)
 
 
 # Arrives
@@ -352,6 +362,23 @@ def test_clearance_and_depth_are_short_values():
     assert walled(2, -0.25).verdicts.within_wall.value == "0.25 mm deep, frame 2"
 
 
+def test_clearance_is_told_with_the_margin_of_its_wall():
+    """The margin is that of the wall that was named, and is left out where there is none."""
+    grid = make_grid(np.zeros((5 + BLOCK_NODES,) * 3), np.eye(4))
+    field = DistanceField((grid,))
+    plan = replace(shifted(1), walls=(Body("vessel", field, True, 2.0), Body("lung", field)))
+
+    def told(depth, name):
+        place = DeepestPoint(depth, "in frame", 1, 2, 30.0, np.zeros(3))
+        return verdicts._describe_deepest_point(plan, place, 0.0, name)
+
+    at = "in frame 1, at tube 2, 30 mm along the robot"
+    assert told(-3.0, "vessel") == f"vessel: the least clearance beyond the margin of 2 mm is 3.00 mm {at}."
+    assert told(0.5, "vessel").startswith("vessel: the deepest contact within the margin of 2 mm is 0.50 mm")
+    assert told(-3.0, "lung") == f"lung: the least clearance is 3.00 mm {at}."
+    assert told(-3.0, "") == f"The least clearance is 3.00 mm {at}."
+
+
 @pytest.mark.hazard("contact with the wall")
 def test_contact_between_frames_counts():
     found = walled(0.2, 0.3, between=(0.2, -0.7)).verdicts.within_wall
@@ -550,6 +577,22 @@ def test_plans_without_samples_or_on_a_model_without_snaps_are_not_checked(sampl
     assert rigid.verdicts.holds.word == NOT_CHECKED
 
 
+def test_the_share_that_must_hold_and_tip_forces_are_told(sampled):
+    why = sampled.with_thresholds(share=0.9).verdicts.holds.why
+    assert "90 % must hold." in why
+    assert "tip force" not in why
+    pushed = replace(sampled.robot.tolerances, tip_force=0.05)
+    robot = replace(sampled.robot, tolerances=pushed).to_dict()
+    why = replace(sampled, meta=sampled.meta | {"robot": robot}).verdicts.holds.why
+    assert "Each has a tip force of 0.05 N in a random direction." in why
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_samples_say_whether_there_is_no_wall(known):
+    outcomes = SampleOutcomes(np.zeros(2, bool), np.zeros(2), np.zeros(2), 2.0, 1.0, wall_known=known)
+    assert outcome_sentence(outcomes) == f"2 of 2 simulated robots hold.{'' if known else ' No wall is known.'}"
+
+
 # All of them
 
 PLANS = {
@@ -576,7 +619,9 @@ def name(request):
 
 
 def test_failed_are_the_verdicts_whose_word_is_no(name):
-    assert PLANS[name].verdicts.failed_names == FAILED[name]
+    found = PLANS[name].verdicts
+    assert found.failed_names == FAILED[name]
+    assert found.unchecked_names == tuple(each.matter for each in found if each.word not in {YES, NO})
 
 
 @pytest.mark.parametrize("other", [NO, NOT_CHECKED])

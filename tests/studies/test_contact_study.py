@@ -39,12 +39,18 @@ def test_a_straight_rod_presses_less_where_its_plan_leans_on_the_wall():
 
 def test_a_table_is_summed_up_robot_by_robot(tmp_path, capsys):
     table = tmp_path / "rows.csv"
-    numbers = {"robot": "thin", "avoids_reached": "no", "leans_reached": "yes", "leans_force_N": 0.1}
-    each = {"end": 1, "avoids_force_N": 0.4}, {"end": 2, "avoids_force_N": "snaps"}
-    write_csv(table, [dict.fromkeys(contact.COLUMNS, "") | numbers | one for one in each])
+    numbers = {"robot": "thin", "avoids_reached": "no", "leans_reached": "yes", "avoids_tip_mm": 1.0}
+    each = (
+        {"end": 1, "avoids_force_N": 0.4, "leans_force_N": 0.2, "leans_tip_mm": 1.9},
+        {"end": 2, "avoids_force_N": "snaps", "leans_force_N": 0.1, "leans_tip_mm": 0.1},
+        {"end": 3, "avoids_force_N": 0.2, "leans_force_N": 0.2, "leans_tip_mm": 0.1},
+        {"end": 4, "avoids_force_N": 0.2, "leans_force_N": 0.1, "leans_tip_mm": 2.1},
+    )
+    halves = {"halves_force_N": 0.1, "halves_tip_mm": 0.1}
+    write_csv(table, [dict.fromkeys(contact.COLUMNS, "") | numbers | one for one in (*each, each[2] | halves)])
     rows = contact.read_rows(table)
-    assert [row["end"] for row in rows] == ["1", "2"]
+    assert [row["end"] for row in rows] == ["1", "2", "3", "4", "3"]
     contact.summarise(rows)
     told = capsys.readouterr().out
-    assert "thin: 2 ends, 0 reached free of the wall, 2 leaning on it" in told
-    assert "median 0.25 of 1 ends" in told
+    assert "thin: 5 ends, 0 reached free of the wall, 5 leaning on it" in told
+    assert "2 of 4 are reached as near with half of the largest force" in told
