@@ -26,7 +26,7 @@ from ctr_nlp.models.elastic.compiled import (
 )
 from ctr_nlp.models.loaded.equilibria import MAX_LOADED_NEWTON_TURN_RAD, LoadedEquilibria, States
 from ctr_nlp.models.loaded.stability import margin_determinants, margins
-from ctr_nlp.typing import Array, Index
+from ctr_nlp.typing import Array, Flags, Index
 
 CONTACT_FORCE_TOLERANCE_N = 1e-4
 """Largest difference, N, between the forces on all pieces and the wall's pushes at their depths."""
@@ -122,6 +122,11 @@ class ContactEquilibria(ContactRods):
     def contact(self, state: ContactState) -> WallPush:
         """Return what the wall does to a state at the points (K, M) of its pieces."""
         return WallPush(*(each[0] for each in self.contacts(self.bodies(ContactStates.stack([state])))))
+
+    def find_narrow_pieces(self, state: ContactState) -> Flags:
+        """Return the pieces (K,) of a state around which the lumen is narrower than the robot, at any point."""
+        samples, radius = self.samples(self.bodies(ContactStates.stack([state])))
+        return np.asarray(self.wall.is_narrower(samples[0], radius[0]).any(axis=1))
 
     def force_mismatch(self, state: ContactState) -> float:
         """Return the sum over pieces of the difference between force and push, N."""

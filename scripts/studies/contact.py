@@ -2,11 +2,11 @@
 
 python scripts/studies/contact.py MASK FILE.csv --from-carina [--robot stock_1] [--ends 20] [--frames 25]
 
-Each end gets up to three plans for the robot as described: one that may touch the wall by so many mm ("avoids"), one
-that begins with it and may lean on the wall with so much force ("leans"), and, where that one presses harder than
-half as much as the first, one that may press half as much ("halves"). All are moved along the wall in ten sub-steps a
-frame, and the largest force at a place is found. A row is written for each end as it is done; ends in the file are
-left.
+Each end gets up to three plans for the robot as described: one that may touch the wall by so many mm ("avoids"),
+one that begins with it and may lean on the wall with so much force ("leans"), and, where that one presses harder
+than half as much as the first, one that may press half as much ("halves"). All are moved along the wall in ten
+sub-steps a frame, and the largest force at a place is found. A row is written for each end as it is done; ends in
+the file are left.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ def summarise(rows: list[dict[str, str]]) -> None:
 
 
 def is_halved(row: dict[str, str]) -> bool:
-    """Return whether a plan that leans on the wall has half of the force of the one that avoids it, as near its end.
+    """Return whether a plan that leans on the wall has half of the force of the other, as near its end.
 
     The limit of arrival counts as near, too.
     """
