@@ -309,7 +309,8 @@ class ContactRods:
         lengths = bodies.lengths[rows, piece]
         part = (s - ends[rows, piece] + lengths) / np.where(lengths > EMPTY_PIECE_MM, lengths, np.inf)
         weights = _integrals(part, self.kind.steps)
-        return np.asarray(starts[rows, piece] + (weights[:, :, None] @ coefficients[rows, piece])[:, :, 0])
+        with np.errstate(invalid="ignore"):
+            return np.asarray(starts[rows, piece] + (weights[:, :, None] @ coefficients[rows, piece])[:, :, 0])
 
     def _samples_of(self, bodies: ContactBodies, rows: Index, pieces: Index) -> tuple[Array, Array]:
         """Return the points (N, M, 3) of some pieces of some rods, and the robot's radii there (N, M), mm."""
@@ -371,9 +372,11 @@ class ContactRods:
         """Return where pieces of rods begin (T, K, 3), mm, and their tangents' polynomials (T, K, n, 3) times
         length.
         """
-        coefficients = self._to_powers @ bodies.ends.tangents
-        coefficients *= bodies.lengths[..., None, None]
-        gains = (_integrals(np.ones(1), self.kind.steps) @ coefficients)[..., 0, :]
+        # Rods that are bent far beyond any equilibrium are not finite: trials that are given up.
+        with np.errstate(invalid="ignore"):
+            coefficients = self._to_powers @ bodies.ends.tangents
+            coefficients *= bodies.lengths[..., None, None]
+            gains = (_integrals(np.ones(1), self.kind.steps) @ coefficients)[..., 0, :]
         return np.cumsum(gains, axis=1) - gains, coefficients
 
 
