@@ -243,7 +243,7 @@ class ContactEquilibria(ContactRods):
         d = self.robot.d
         pushes = np.zeros_like(state.pushes)
         pushes[near] = step[d + 2 :].reshape(-1, 2, 3)
-        moved = ContactStates.stack([state]).moved(step[None, : d + 2], pushes, 0 * state.q)
+        moved = ContactStates.stack([state]).apply_changes(step[None, : d + 2], pushes, 0 * state.q)
         return moved.row(0)._replace(sign=state.sign)
 
 

@@ -36,7 +36,7 @@ from ctr_nlp.loads.contact_rods import ContactState, ContactStates, signed_probe
 from ctr_nlp.ocp.terms.arrival import ArrivalTerm
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.paths.target import SIGMA_GRID
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 CONTACT_SIGMA = SIGMA_GRID[::4]
 """Points at which the shape's error counts in the program."""
@@ -286,16 +286,16 @@ class ContactFrames:
             found[j] += step @ by_u
         bent = np.flatnonzero((abs(multipliers.margin) > MIN_MARGIN_MULTIPLIER_MM2) & margin_by.any(axis=1))
         if len(bent):
-            found[bent] += multipliers.margin[bent, None] * self._margins_around(
-                around, slopes, bent, margins[bent, None] + (steps[bent] @ margin_by[bent][..., None])[..., 0]
-            )
+            guesses = margins[bent, None] + (steps[bent] @ margin_by[bent][..., None])[..., 0]
+            of_margin = self._margins_around(around, slopes, bent, guesses)
+            found[bent] += multipliers.margin[bent, None] * of_margin
         change = found[:, 1 + n :] - found[:, 1 + first] - found[:, 1 + second] + found[:, :1]
         hessian = np.zeros((count, n, n))
         hessian[:, first, second] = hessian[:, second, first] = change / (probes[:, first] * probes[:, second])
         return hessian
 
     def _margins_around(
-        self, around: NearbyRods, slopes: Sequence[ContactSlopes], frames: Array, guesses: Array
+        self, around: NearbyRods, slopes: Sequence[ContactSlopes], frames: Index, guesses: Array
     ) -> Array:
         """Return stability margins (m, P) of rods around some frames (m,), from guesses of them (m, P)."""
         each = guesses.shape[1]

@@ -149,7 +149,7 @@ class ContactNeighbours:
         """
         rows = np.repeat(np.arange(len(steps)), steps.shape[1])
         changes = [step @ slope.u_by_y.T for step, slope in zip(steps, slopes, strict=True)]
-        return self._moved(states.rows(rows), [slope.near for slope in slopes], changes, steps)
+        return self._apply_steps(states.rows(rows), [slope.near for slope in slopes], changes, steps)
 
     def look_around(
         self, states: ContactStates, slopes: Sequence[ContactSlopes], steps: Array, sigma: Array
@@ -204,7 +204,7 @@ class ContactNeighbours:
             )
             if not len(left):
                 break
-            states = self._moved(
+            states = self._apply_steps(
                 states, [each.near for each in systems], steps, np.zeros((len(left), 1, 2 * d + 2))
             )
             going = np.ones(len(left), dtype=bool)
@@ -247,7 +247,7 @@ class ContactNeighbours:
         """Return stability margins (T, P) of rods near T equilibria, by a Newton step from guesses (T, P)."""
         count, each = guesses.shape
         none = np.zeros((count, each, around.states.q.shape[1]))
-        states = self._moved(around.states, [slope.near for slope in slopes], around.corrections, none)
+        states = self._apply_steps(around.states, [slope.near for slope in slopes], around.corrections, none)
         near = [slope.near for slope in slopes for _ in range(each)]
         at = guesses.ravel()
         here, beside = (
@@ -291,7 +291,7 @@ class ContactNeighbours:
             force_by_u=force_by_u,
             places=places[0],
             places_by=(places[1:] - places[0]) / system.probes[:, None, None],
-            u_by_y=-np.linalg.solve(matrix, by_y),
+            u_by_y=np.asarray(-np.linalg.solve(matrix, by_y), dtype=float),
             system=matrix,
             near=system.near,
         )
@@ -326,7 +326,7 @@ class ContactNeighbours:
         pushed = abs(states.pushes).max(axis=(2, 3)) > 0
         return [np.flatnonzero(each) for each in pushed | (contact.beyond > -within).any(axis=2)]
 
-    def _moved(
+    def _apply_steps(
         self, states: ContactStates, near: Sequence[Index], changes: Sequence[Array], steps: Array
     ) -> ContactStates:
         """Return T groups of P states (T P,) after changes of u and of y.
@@ -342,7 +342,7 @@ class ContactNeighbours:
         pushes = np.zeros_like(states.pushes).reshape(*steps.shape[:2], *states.pushes.shape[1:])
         for own, pieces, change in zip(pushes, near, changes, strict=True):
             own[:, pieces] = change[:, d + 2 :].reshape(len(change), -1, 2, 3)
-        return states.moved(tips, pushes.reshape(states.pushes.shape), q)
+        return states.apply_changes(tips, pushes.reshape(states.pushes.shape), q)
 
 
 class _Kept(NamedTuple):

@@ -111,9 +111,10 @@ class ContactStates(NamedTuple):
 
     def row(self, k: int) -> ContactState:
         """Return one of the states; k: its number, from 0."""
-        return ContactState(*(each[k] for each in self[:-1]), float(self.sign[k]))
+        q, load, angles, axes, pushes, sign = self
+        return ContactState(q[k], load[k], angles[k], axes[k], pushes[k], float(sign[k]))
 
-    def moved(self, tips: Array, pushes: Array, q: Array) -> ContactStates:
+    def apply_changes(self, tips: Array, pushes: Array, q: Array) -> ContactStates:
         """Return states after changes of tips (T, d + 2), of pushes (T, K, 2, 3) and of q (T, 2d + 2)."""
         angles, axes = turn_tips(self.angles, self.axes, tips)
         return self._replace(q=self.q + q, angles=angles, axes=axes, pushes=self.pushes + pushes)

@@ -316,6 +316,7 @@ class WallDistance:
                 for sign, margin, (distance, gradient, hessian) in each
             ]
         call = cache.load_c_files(__package__, "wall.c").evaluate_beside
+        # C takes one field at a time: the address of the first one, and of those behind it.
         size = ctypes.sizeof(_FieldStruct)
         found = [
             _call_beside(call, ctypes.c_void_p(self._tables.field + k * size), points, _FIELD_NUMBERS)

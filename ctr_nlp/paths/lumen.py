@@ -20,7 +20,7 @@ from ctr_nlp.paths.curve import Curve
 from ctr_nlp.paths.points import cumulative_arc_length
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.value_checks import floats
-from ctr_nlp.typing import Array, Index
+from ctr_nlp.typing import Array, Flags, Index
 
 LUMEN_TABLE_SPACING_MM = 0.5
 """Distance between the points of a lumen's table, mm."""
@@ -149,7 +149,7 @@ class Lumen:
             The path and the wall at the nearest points of the path; NaN for points that are NaN.
         """
         # The search tree takes no NaN; frames that were not reached are put back as NaN below.
-        known = np.isfinite(points).all(axis=-1, keepdims=True)
+        known: Flags = np.asarray(np.isfinite(points).all(axis=-1, keepdims=True))
         points = np.where(known, points, 0.0)
         # The nearest point of the table is on the right branch of the path, also where the path passes itself
         # closely.
