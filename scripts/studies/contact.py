@@ -57,7 +57,7 @@ def main() -> None:
     asked = parser.parse_args()
     robot = with_modulus(read_robot(asked.robot), NITINOL_MPA)
     tree = read_lumen_tree(asked.mask, from_carina=asked.from_carina)
-    rows: list[dict[str, Any]] = [*read_rows(asked.table)]
+    rows: list[dict[str, Any]] = [dict.fromkeys(COLUMNS, "") | row for row in read_rows(asked.table)]
     done = {(row["robot"], row["end"]) for row in rows}
     for end, room in narrowest_ends(tree, robot)[: asked.ends]:
         if (asked.robot, str(end)) in done:
