@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from ctr_nlp.paths.walls import WallGeometry
 from ctr_nlp.plan.motion_evaluation import name_clearances, wall_clearances
 from ctr_nlp.plan.plan import PHYSICAL_MODEL, Plan
 from ctr_nlp.plan.simulation import Simulator
-from ctr_nlp.plan.verdicts import MARGIN_SLACK
+from ctr_nlp.plan.verdicts import FORCE_SLACK_FRACTION, MARGIN_SLACK
 from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.robot import Robot
@@ -263,24 +263,57 @@ def solve_on_wall(
         equilibria=_searched_on(problem, stiffness),
         states=harden(problem, ContactStates.stack(solution.states), SOFT_WALL_SHARE * stiffness, stiffness),
     )
-    solution, replay = solve()
-    for _ in range(MAX_ROUNDS):
-        kept = follows_plan(solution, replay)
-        missing = np.where(kept, np.maximum(least - np.nan_to_num(replay.margin_between, nan=0.0), 0.0), 0.0)
-        if not kept.all():
-            # There the branch turns far. Beyond, nothing is known, and nothing more can be asked for.
-            missing[kept.argmin()] = MARGIN_ADDED_AT_SNAP
-        strongest = float(replay.place_between[kept].max(initial=0.0))
-        if missing.max() <= MARGIN_SLACK and strongest <= limit:
-            break
-        # Both frames around a sub-step with too small a margin get more, as in plans without contact; the same for
-        # forces.
-        more = np.maximum(missing, np.append(missing[1:], 0.0))
-        beyond = np.where(kept, np.maximum(replay.place_between / limit, 1.0), 1.0)
-        planned = planned / np.maximum(beyond, np.append(beyond[1:], 1.0))
-        frames = replace(frames, margin=frames.margin + 1.2 * more, states=list(solution.states))
+    tried = list[tuple[JudgedReplay, ContactSolution, ContactReplay]]()
+    for _ in range(1 + MAX_ROUNDS):
         solution, replay = solve()
+        judged = judge_replay(solution, replay, least, limit)
+        tried.append((judged, solution, replay))
+        if judged.is_good:
+            break
+        # Both frames around a sub-step that fails get more margin, as in plans without contact, or a lower limit.
+        more = np.maximum(judged.missing_margin, np.append(judged.missing_margin[1:], 0.0))
+        planned = planned / np.maximum(judged.force_ratio, np.append(judged.force_ratio[1:], 1.0))
+        frames = replace(frames, margin=frames.margin + 1.2 * more, states=list(solution.states))
+    _, solution, replay = min(tried, key=lambda each: each[0].rank)
     return _plan_of(start, solution, replay, problem, limit, stiffness, time.perf_counter() - begin)
+
+
+class JudgedReplay(NamedTuple):
+    """What is missing in a motion on a wall of T frames.
+
+    missing_margin (T,): stability margin below what was asked for, on the way to each frame. force_ratio (T,): the
+    largest force at a place over its limit there, 1 at least. lost: frames from the first on in which the robot is
+    not where the plan has it.
+    """
+
+    missing_margin: Array
+    force_ratio: Array
+    lost: int
+
+    @property
+    def is_good(self) -> bool:
+        """Whether nothing is missing."""
+        return bool(self.missing_margin.max() <= MARGIN_SLACK and self.force_ratio.max() <= 1)
+
+    @property
+    def rank(self) -> tuple[float, ...]:
+        """Numbers in the order in which they count among motions: the less the better."""
+        return (
+            self.lost,
+            max(float(self.force_ratio.max()), 1.0 + FORCE_SLACK_FRACTION),
+            float(self.missing_margin.max()),
+        )
+
+
+def judge_replay(solution: ContactSolution, replay: ContactReplay, least: float, limit: float) -> JudgedReplay:
+    """Judge a robot that was moved along a solution; least: stability margin asked for; limit: of forces, N."""
+    kept = np.logical_and.accumulate(is_on_planned_branch(solution, replay))
+    missing = np.where(kept, np.maximum(least - replay.margin_between, 0.0), 0.0)
+    if not kept.all():
+        # There the branch turns far. Beyond, nothing is known, and nothing more can be asked for.
+        missing[kept.argmin()] = MARGIN_ADDED_AT_SNAP
+    ratio = np.where(kept, np.maximum(replay.place_between / limit, 1.0), 1.0)
+    return JudgedReplay(missing, ratio, int((~kept).sum()))
 
 
 def is_on_planned_branch(solution: ContactSolution, replay: ContactReplay) -> Flags:
@@ -293,11 +326,6 @@ def is_on_planned_branch(solution: ContactSolution, replay: ContactReplay) -> Fl
     known = np.flatnonzero(replay.in_equilibrium)
     found[known] = abs(reached - planned[known]).max(axis=1) < MAX_REPLAYED_TURN_RAD
     return found
-
-
-def follows_plan(solution: ContactSolution, replay: ContactReplay) -> Flags:
-    """Return the frames (T,) until a robot that was moved along a solution is elsewhere than the solution."""
-    return np.asarray(np.logical_and.accumulate(is_on_planned_branch(solution, replay)))
 
 
 def _searched_on(problem: Problem, stiffness: float) -> ContactEquilibria:

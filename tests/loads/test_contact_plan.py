@@ -12,6 +12,9 @@ from lumens import bent
 from ctr_nlp import Plan, Problem, Robot, Target, Tube, solve_on_wall, summary, wall_forces
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import LoadError, OptionError
+from ctr_nlp.loads.contact_plan import ContactReplay, judge_replay
+from ctr_nlp.loads.contact_program import ContactSolution
+from ctr_nlp.loads.contact_rods import ContactState
 from ctr_nlp.models.loads import with_modulus
 from ctr_nlp.plan.plan import plan_from_configurations
 
@@ -106,3 +109,35 @@ def test_what_cannot_be_planned_on_a_wall_is_refused(problem, capsys, tmp_path, 
     ):
         assert main(["plan", "arc", "--frames", "3", *options]) == 2
         assert why in " ".join(capsys.readouterr().err.split())
+
+
+def test_of_several_rounds_the_motion_that_fails_least_is_taken():
+    """First by how long the robot is where the plan has it, then by force and margin."""
+    d, count = 2, 3
+    one = ContactState(np.zeros(6), np.zeros(23), np.zeros(d), np.eye(3), np.zeros((1, 2, 3)), 1.0)
+    states = (one,) * count
+    solution = ContactSolution(states, np.zeros(count), np.zeros(count), "")
+
+    def judged(place, margin, turned=count, known=count):
+        angles = [np.array([1.0 * (j >= turned), 0.0]) for j in range(known)]
+        reached = tuple(state._replace(angles=each) for state, each in zip(states, angles, strict=False))
+        least = np.where(np.arange(count) < known, margin, np.nan)
+        none = np.zeros(0)
+        replay = ContactReplay(none, none, least, least, *[none] * 6, np.array(place), reached)
+        return judge_replay(solution, replay, 0.1, 0.2)
+
+    good, soft, lost, gone = (
+        judged([0.1, 0.2, 0.2], 0.1),
+        judged([0.1, 0.3, 0.2], 0.05),
+        judged([0.1, 0.1, 9.0], 0.1, turned=2),
+        judged([0.1, 0.1, np.nan], 0.1, known=2),
+    )
+    assert good.is_good
+    assert [each.is_good for each in (soft, lost, gone)] == [False] * 3
+    np.testing.assert_allclose(soft.missing_margin, 0.05)
+    np.testing.assert_allclose(soft.force_ratio, [1.0, 1.5, 1.0])
+    for each in (lost, gone):
+        np.testing.assert_allclose(each.missing_margin, [0, 0, 0.3])
+        np.testing.assert_allclose(each.force_ratio, 1.0)
+        assert each.lost == 1
+    assert good.rank < soft.rank < lost.rank
