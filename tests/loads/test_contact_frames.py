@@ -118,7 +118,9 @@ LUMEN = Lumen(np.column_stack([np.zeros((141, 2)), np.arange(141.0), np.full(141
 
 
 @pytest.mark.parametrize(
-    "walls", [LUMEN, Walls(None, (TUBE,)), Walls(None, (TUBE, BALL)), Walls(LUMEN, (BALL,))], ids=repr
+    "walls",
+    [LUMEN, Walls(None, (TUBE,)), Walls(None, (TUBE, BALL)), Walls(LUMEN, (BALL,))],
+    ids=["path", "body", "two bodies", "path and body"],
 )
 @given(st.integers(0, 10**6))
 def test_slopes_of_pushes_are_exact(walls, seed):
