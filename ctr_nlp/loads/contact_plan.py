@@ -279,7 +279,7 @@ def solve_on_wall(
 
 
 class JudgedReplay(NamedTuple):
-    """What is missing in a motion on a wall of T frames.
+    """How far a motion on a wall falls short of what was asked for, in T frames.
 
     missing_margin (T,): stability margin below what was asked for, on the way to each frame. force_ratio (T,): the
     largest force at a place over its limit there, 1 at least. lost: frames from the first on in which the robot is
