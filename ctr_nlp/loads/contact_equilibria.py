@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ctr_nlp.loads.contact_rods import ContactBodies, ContactRods, ContactState, ContactStates, ContactSystem
+from ctr_nlp.loads.contact_rods import ContactBodies, ContactRods, ContactState, ContactStates
 from ctr_nlp.loads.rod_pieces import piece_positions, unloaded_state
 from ctr_nlp.loads.winkler_wall import WallPush
 from ctr_nlp.models.elastic.compiled import (
@@ -189,25 +189,27 @@ class ContactEquilibria(ContactRods):
         d = self.robot.d
         contact = self.contacts(self.bodies(ContactStates.stack([state])))
         for _ in range(MAX_CONTACT_NEWTON_STEPS):
-            pushed = abs(state.pushes).max(axis=(1, 2)) > 0
-            near = np.flatnonzero(pushed | (contact.beyond[0] > -NEAR_WALL_MM).any(axis=1))
-            (system,), _ = self.systems(ContactStates.stack([state]), [near], contact, share)
-            step = _newton_step(system.jacobian, system.residual)
-            if step is None or abs(step[: d + 2]).max() > MAX_LOADED_NEWTON_TURN_RAD:
+            here = ContactStates.stack([state])
+            (near,) = self.find_near(here, contact, NEAR_WALL_MM)
+            (system,), _ = self.systems(here, [near], contact, share)
+            (step,) = newton_steps(system.jacobian, system.residual[None])
+            if not abs(step[: d + 2]).max() <= MAX_LOADED_NEWTON_TURN_RAD:
                 return None
             if first is None:
                 first = self._apply_step(state, step, near)
                 if _turns_too_far(step, turned, d):
                     return None
-            size = self._size(step, system)
+            lengths = system.lengths[0]
+            size = step_size(step, near, lengths, d)
             part = 1.0
             for _ in range(MAX_CONTACT_STEP_HALVINGS):
                 tried = self._apply_step(state, part * step, near)
-                bodies = self.bodies(ContactStates.stack([tried]))
+                there = ContactStates.stack([tried])
+                bodies = self.bodies(there)
                 contact = self.contacts(bodies)
-                (residual,) = self.residuals(ContactStates.stack([tried]), bodies, [near], share)
-                ahead = _newton_step(system.jacobian, residual[0])
-                if ahead is not None and self._size(ahead, system) <= (1 - part / 4) * size + 1e-9:
+                (residual,) = self.residuals(there, bodies, [near], contact, share)
+                (ahead,) = newton_steps(system.jacobian, residual)
+                if step_size(ahead, near, lengths, d) <= (1 - part / 4) * size + 1e-9:
                     break
                 part /= 2
             else:
@@ -228,16 +230,6 @@ class ContactEquilibria(ContactRods):
         apart = state.pushes - share * self.rule.projection @ contact.push[0]
         return float((np.linalg.norm(apart, axis=2).sum(axis=1) * bodies.lengths[0]).sum())
 
-    def _size(self, step: Array, system: ContactSystem) -> float:
-        """Return the size of a Newton step, mm: how far it moves the robot, and the forces that it adds."""
-        d = self.robot.d
-        pushes = step[d + 2 :].reshape(-1, 2, 3) * system.lengths[0, system.near, None, None]
-        return float(
-            np.hypot(
-                TIP_SCALE_MM_PER_RAD * np.linalg.norm(step[: d + 2]), FORCE_SCALE_MM_PER_N * np.linalg.norm(pushes)
-            )
-        )
-
     def _apply_step(self, state: ContactState, step: Array, near: Index) -> ContactState:
         """Return a state after a step (n,) of its tip and of the pushes on pieces near the wall."""
         d = self.robot.d
@@ -247,14 +239,29 @@ class ContactEquilibria(ContactRods):
         return moved.row(0)._replace(sign=state.sign)
 
 
-def _newton_step(jacobian: Array, residual: Array) -> Array | None:
-    """Return the step (n,) that removes a residual to first order; None where that is not known."""
-    if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
-        return None
+def newton_steps(matrix: Array, residuals: Array) -> Array:
+    """Return the steps (P, n) that remove residuals (P, n) to first order; NaN where none is known.
+
+    matrix (n, n): derivatives of the residuals by the unknowns.
+    """
+    if not np.isfinite(matrix).all():
+        return np.full(residuals.shape, np.nan)
+    residuals = np.where(np.isfinite(residuals).all(axis=1, keepdims=True), residuals, np.nan)
     try:
-        return np.asarray(-np.linalg.solve(jacobian, residual))
+        return np.asarray(-np.linalg.solve(matrix, residuals.T).T)
     except np.linalg.LinAlgError:
-        return None
+        return np.full(residuals.shape, np.nan)
+
+
+def step_size(step: Array, near: Index, lengths: Array, d: int) -> float:
+    """Return the size of a Newton step (n,), mm: how far it moves the robot, and the forces that it adds.
+
+    Its first d + 2 entries are angles; then come the pushes on the pieces `near`. lengths (K,): of all pieces, mm.
+    d: number of tubes.
+    """
+    pushes = step[d + 2 :].reshape(-1, 2, 3) * lengths[near, None, None]
+    turned, pushed = np.linalg.norm(step[: d + 2]), np.linalg.norm(pushes)
+    return float(np.hypot(TIP_SCALE_MM_PER_RAD * turned, FORCE_SCALE_MM_PER_N * pushed))
 
 
 def _turns_too_far(step: Array, turned: Array | None, d: int) -> bool:

@@ -20,11 +20,11 @@ import numpy as np
 
 from ctr_nlp.loads.contact_equilibria import (
     CONTACT_TIP_TOLERANCE_RAD,
-    FORCE_SCALE_MM_PER_N,
     MAX_CONTACT_NEWTON_STEPS,
     NEAR_WALL_MM,
-    TIP_SCALE_MM_PER_RAD,
     ContactEquilibria,
+    newton_steps,
+    step_size,
 )
 from ctr_nlp.loads.contact_rods import (
     ContactState,
@@ -134,7 +134,7 @@ class ContactNeighbours:
         """Return shapes at sigma (n,) and forces of T equilibria, with their derivatives."""
         contact = self.equilibria.contacts(self.equilibria.bodies(states))
         # Where the wall does not press, forces stay 0 to first order: they need no rods of their own.
-        near = self._find_near(states, contact, self.equilibria.wall.toe / 2)
+        near = self.equilibria.find_near(states, contact, self.equilibria.wall.toe / 2)
         systems, rods = self.equilibria.systems(states, near, contact)
         points = self.equilibria.points(rods, sigma)
         return [
@@ -162,7 +162,7 @@ class ContactNeighbours:
         near = self.predict(states, slopes, steps)
         bodies = self.equilibria.bodies(near)
         force = (np.linalg.norm(near.pushes[:, :, 0], axis=2) * bodies.lengths).reshape(*steps.shape[:2], -1)
-        # Places change by pieces' parts of them, which have corners as functions of the extensions.
+        # Pieces' parts of places have corners as functions of the extensions: they are taken as linear.
         places = np.stack([slope.places for slope in slopes])[:, None] + np.stack(
             [
                 np.tensordot(step[:, d : 2 * d], slope.places_by, 1)
@@ -175,7 +175,7 @@ class ContactNeighbours:
             self.equilibria.points(bodies, sigma).reshape(*steps.shape[:2], len(sigma), 3),
             force,
             (places @ force[..., None])[..., 0],
-            [_solve(slope.system, left) for slope, left in zip(slopes, residuals, strict=True)],
+            [newton_steps(slope.system, left) for slope, left in zip(slopes, residuals, strict=True)],
         )
 
     def settle(self, states: ContactStates, slopes: Sequence[ContactSlopes]) -> list[ContactState | None]:
@@ -193,8 +193,10 @@ class ContactNeighbours:
             bodies = self.equilibria.bodies(states)
             contact = self.equilibria.contacts(bodies)
             systems = self._renew(states, contact, [kept[k] for k in left])
-            residuals = self.equilibria.residuals(states, bodies, [each.near for each in systems])
-            steps = [_solve(each.matrix, left_over) for each, left_over in zip(systems, residuals, strict=True)]
+            residuals = self.equilibria.residuals(states, bodies, [each.near for each in systems], contact)
+            steps = [
+                newton_steps(each.matrix, left_over) for each, left_over in zip(systems, residuals, strict=True)
+            ]
             # Steps that are too long, or not known, end the search: another branch, or none.
             good = np.array([abs(step[0, : d + 2]).max() <= MAX_LOADED_NEWTON_TURN_RAD for step in steps])
             states, left = states.rows(good), left[good]
@@ -212,7 +214,7 @@ class ContactNeighbours:
                 settled = abs(step[0, d + 2 :]).max(initial=0.0) < SETTLED_PUSH_N_PER_MM
                 if settled and abs(step[0, : d + 2]).max() < CONTACT_TIP_TOLERANCE_RAD:
                     found[k], going[i] = states.row(i), False
-                size = _size(step[0], systems[i].near, lengths[i], d)
+                size = step_size(step[0], systems[i].near, lengths[i], d)
                 kept[k] = systems[i] if size <= MAX_KEPT_JACOBIAN_STEP_RATIO * before[k] else None
                 before[k] = size
             states, left = states.rows(going), left[going]
@@ -307,7 +309,7 @@ class ContactNeighbours:
         """Return the systems that were kept, and new ones of states (T,) where there is none or a piece begins to
         touch.
         """
-        pressed = self._find_near(states, contact, self.equilibria.wall.toe / 2)
+        pressed = self.equilibria.find_near(states, contact, self.equilibria.wall.toe / 2)
         found = [
             None if each is None or np.setdiff1d(pieces, each.near).size else each
             for each, pieces in zip(kept, pressed, strict=True)
@@ -315,16 +317,11 @@ class ContactNeighbours:
         new = [k for k, each in enumerate(found) if each is None]
         if new:
             there = WallPush(*(each[new] for each in contact))
-            near = self._find_near(states.rows(new), there, NEAR_WALL_MM)
+            near = self.equilibria.find_near(states.rows(new), there, NEAR_WALL_MM)
             systems, _ = self.equilibria.systems(states.rows(new), near, there)
             for k, system in zip(new, systems, strict=True):
                 found[k] = _Kept(self._matrix(system), system.near)
         return [each for each in found if each is not None]
-
-    def _find_near(self, states: ContactStates, contact: WallPush, within: float) -> list[Index]:
-        """Return the pieces of each state that bear forces, or are so many mm from the wall."""
-        pushed = abs(states.pushes).max(axis=(2, 3)) > 0
-        return [np.flatnonzero(each) for each in pushed | (contact.beyond > -within).any(axis=2)]
 
     def _apply_steps(
         self, states: ContactStates, near: Sequence[Index], changes: Sequence[Array], steps: Array
@@ -350,23 +347,3 @@ class _Kept(NamedTuple):
 
     matrix: Array
     near: Index
-
-
-def _solve(matrix: Array, residuals: Array) -> Array:
-    """Return the Newton steps (P, m) that remove residuals (P, m) to first order; NaN where none is known."""
-    if not np.isfinite(matrix).all():
-        return np.full(residuals.shape, np.nan)
-    try:
-        return np.asarray(-np.linalg.solve(matrix, residuals.T).T)
-    except np.linalg.LinAlgError:
-        return np.full(residuals.shape, np.nan)
-
-
-def _size(step: Array, near: Index, lengths: Array, d: int) -> float:
-    """Return the size of a step (m,) of u, mm: how far it moves the robot, and the forces that it adds.
-
-    lengths (K,): of all pieces, mm. d: number of tubes.
-    """
-    pushes = step[d + 2 :].reshape(-1, 2, 3) * lengths[near, None, None]
-    turned, pushed = np.linalg.norm(step[: d + 2]), np.linalg.norm(pushes)
-    return float(np.hypot(TIP_SCALE_MM_PER_RAD * turned, FORCE_SCALE_MM_PER_N * pushed))

@@ -430,7 +430,7 @@ def _plan_of(
         j = int(known.argmin())
         # Which tubes jump, and how far, is not known: nobody knows where the robot comes to rest.
         snaps = [Snap(frame=j + 1, tubes=(), jump=None)._asdict() | {"tubes": []}]
-    same = known & is_on_planned_branch(solution, replay)
+    same = is_on_planned_branch(solution, replay)
     failures = {str(j + 1): "on the wall, the robot is on another branch" for j in np.flatnonzero(~same)}
     solved = solution.kkt <= KKT_TOLERANCE
     if not solved.all():

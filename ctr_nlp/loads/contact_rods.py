@@ -189,8 +189,11 @@ class ContactRods:
 
     def bodies(self, states: ContactStates) -> ContactBodies:
         """Integrate the rods of T states from their tips."""
-        d = self.robot.d
-        return self._integrate(states.angles, states.axes, states.q[:, d : 2 * d], states.pushes, states.load)
+        rows, beta = len(states.q), self.robot.split(states.q)[1]
+        numbers = np.repeat(self.robot.numbers[None], rows, axis=0)
+        acting = np.hstack([states.load, states.pushes.reshape(rows, -1)])
+        ends = self.equilibria.rods(numbers, states.angles, states.axes, beta, acting, np.ones((rows, 2)))
+        return ContactBodies(ends, beta, piece_positions(self.robot, self.kind, beta)[1])
 
     def shapes(self, states: ContactStates, sigma: Array) -> Array:
         """Return points (T, n, 3), mm, of states at sigma (n,), parts of the robot's length."""
@@ -216,6 +219,11 @@ class ContactRods:
     def contacts_of(self, bodies: ContactBodies, rows: Index, pieces: Index) -> WallPush:
         """Return what the wall does to the points (N, M) of some pieces (N,) of some rods (N,)."""
         return self.wall.push(*self._samples_of(bodies, rows, pieces))
+
+    def find_near(self, states: ContactStates, contact: WallPush, within: float) -> list[Index]:
+        """Return the pieces of each state that bear forces, or are so many mm from the wall."""
+        pushed = abs(states.pushes).max(axis=(2, 3)) > 0
+        return [np.flatnonzero(each) for each in pushed | (contact.beyond > -within).any(axis=2)]
 
     def systems(
         self, states: ContactStates, near: Sequence[Index], contact: WallPush, share: float = 1.0
@@ -265,17 +273,23 @@ class ContactRods:
         return found, rods
 
     def residuals(
-        self, states: ContactStates, bodies: ContactBodies, near: Sequence[Index], share: float = 1.0
+        self,
+        states: ContactStates,
+        bodies: ContactBodies,
+        near: Sequence[Index],
+        contact: WallPush | None = None,
+        share: float = 1.0,
     ) -> list[Array]:
         """Return F (P, n) of T groups of P states with these rods (T P,).
 
-        near: pieces of the states of each group whose forces are unknowns. share: part of the wall's stiffness.
+        near: pieces of the states of each group whose forces are unknowns. contact: what the wall does to each
+        state (T P, K, ..), where that is known. share: part of the wall's stiffness.
         """
         each = len(states.q) // len(near)
         misfits = self.equilibria.misfit(states.q, bodies.ends).reshape(len(near), each, -1)
         sizes = [len(pieces) for pieces in near for _ in range(each)]
         rows, pieces = np.repeat(np.arange(len(sizes)), sizes), np.concatenate([np.tile(k, each) for k in near])
-        push = self.contacts_of(bodies, rows, pieces).push
+        push = self.contacts_of(bodies, rows, pieces).push if contact is None else contact.push[rows, pieces]
         apart = states.pushes[rows, pieces] - share * self.rule.projection @ push
         groups = np.split(apart, np.cumsum([each * len(pieces) for pieces in near])[:-1])
         return [
@@ -320,17 +334,6 @@ class ContactRods:
         radius = outermost_tube_radii(self.robot, bodies.beta, middles / bodies.beta[:, -1:])[rows, pieces]
         samples = self._term_weights @ self.curve_terms(bodies)[rows, pieces]
         return samples, np.repeat(radius[:, None], samples.shape[1], axis=1)
-
-    def _integrate(self, angles: Array, axes: Array, beta: Array, pushes: Array, load: Array) -> ContactBodies:
-        """Integrate T rods from tips with angles (T, d) and axes (T, 3, 3) at extensions (T, d), mm.
-
-        pushes (T, K, 2, 3): forces per length on the pieces, N/mm. load (T, 17 + 3d): numbers of what else acts.
-        """
-        rows = len(beta)
-        numbers = np.repeat(self.robot.numbers[None], rows, axis=0)
-        acting = np.hstack([load, pushes.reshape(rows, -1)])
-        ends = self.equilibria.rods(numbers, angles, axes, beta, acting, np.ones((rows, 2)))
-        return ContactBodies(ends, beta, piece_positions(self.robot, self.kind, beta)[1])
 
     def _misfit_by_motors(self, states: ContactStates, rods: ContactBodies, own: Index) -> Array:
         """Return the derivatives (T, d + 2, 2d + 2) of misfits by motors and tilt; own: rows of the states' rods.
