@@ -39,7 +39,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"bash", "python", "toml", "text", "math"}
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").glob("*.py"))
-STUDIES = ("compare", "learn", "baselines", "reproduce", "benchmark", "cohort")
+STUDIES = ("compare", "learn", "baselines", "reproduce", "benchmark", "cohort", "contact")
 """Programs in scripts/studies/ that pages name with their options."""
 ENVIRONMENT = "python3 -m venv"
 """What commands begin with that make an environment: .ci/run runs these."""
