@@ -53,7 +53,7 @@ _WALL_INPUT_FIELDS = "shares", "numbers", "table", "along", "path", "radius", "o
 _WALL_NUMBER_FIELDS = "clearance", "centred", "tiny", "spacing", "widest"
 _WALL_WORK_FIELDS = "x", "load", "at", "kept_x", "kept_load", "kept"
 
-_PROJECTION_SIZES = 1, 1, 3, 3, 3, 3, 1, 1, 1
+_PROJECTION_SIZES = 1, 1, 3, 3, 3, 3, 1, 1, 1, 1
 """Numbers of each field of LumenProjection, in the order in which look_beside of wall.c writes them."""
 _FIELD_NUMBERS = 13
 """Numbers that evaluate_beside of wall.c writes for a point: distance, gradient and Hessian."""

@@ -6,8 +6,8 @@
 #define NEWTON 4     /* steps from the nearest point of the table to the nearest of the path */
 #define CLOSE 1e-6   /* mm: a step to the nearest of the path that is as good as none */
 #define SPARE 4      /* mm beyond the nearest of the table that is kept in mind for the next point */
-#define COLUMNS 13   /* of what describes a place, as in terms/lumen.py */
-#define PROJECTED 17 /* numbers of what look_beside finds for a point */
+#define COLUMNS 14   /* of what describes a place, as in terms/lumen.py */
+#define PROJECTED 18 /* numbers of what look_beside finds for a point */
 #define FIELD_NUMBERS 13 /* and evaluate_beside */
 #define BLOCK 8      /* cells along each side of a block, as in paths/distance_field.py */
 #define SIDE 11      /* coefficients along each side of a block */
@@ -48,7 +48,7 @@ typedef struct {
 
 /* What of the path is nearest to a point, and the wall there. bend: the curvature, limited as the lumen is wide. */
 typedef struct {
-    double centre[3], tangent[3], curvature[3], bend[3], radius, taper, behind, ahead, distance;
+    double centre[3], tangent[3], curvature[3], bend[3], radius, taper, behind, ahead, distance, slope;
 } Near;
 
 static double most(double a, double b) { return a > b || a != a ? a : b; }
@@ -126,7 +126,7 @@ static void look_at_path(const Wall *w, const double *p, Seen *seen, Near *near)
     double t = s - w->along[i];
     near->radius = ((c[0] * t + c[power]) * t + c[2 * power]) * t + c[3 * power];
     near->taper = ((3 * c[0] * t + 2 * c[power]) * t + c[2 * power]) / most(1 - dot(away, bend), 0.1);
-    near->distance = sqrt(dot(away, away)), near->behind = s, near->ahead = end - s;
+    near->distance = sqrt(dot(away, away)), near->behind = s, near->ahead = end - s, near->slope = 1;
     memcpy(near->curvature, bend, sizeof near->curvature);
     /* Bends sharper than the lumen is wide are noise of the path's points. */
     double size = sqrt(dot(bend, bend)), sharpest = 1 / near->radius / most(size, w->tiny);
@@ -290,7 +290,8 @@ static void osculate(const Field *f, const double *p, double distance, const dou
     for (int k = 0; k < 3; ++k) first[k] /= size;
     for (int k = 0; k < 3; ++k)
         other[k] = normal[(k + 1) % 3] * first[(k + 2) % 3] - normal[(k + 2) % 3] * first[(k + 1) % 3];
-    double both = form(bend, first, other), one = form(bend, first, first), two = form(bend, other, other);
+    double steep = length > 1e-6 ? length : 1, both = form(bend, first, other) / steep;
+    double one = form(bend, first, first) / steep, two = form(bend, other, other) / steep;
     double mean = (one + two) / 2, half = (one - two) / 2 + 0.0, spread = hypot(half, both), angle = atan2(both, half) / 2;
     double along = within(mean + spread, -1 / f->sharpest, 1 / f->sharpest);
     double across = 1 / within(spread - mean, 1 / f->flattest, 1 / f->sharpest);
@@ -300,7 +301,7 @@ static void osculate(const Field *f, const double *p, double distance, const dou
         near->curvature[k] = near->bend[k];
     }
     near->distance = across, near->radius = distance - f->margin + across;
-    near->taper = 0, near->behind = near->ahead = f->far;
+    near->taper = 0, near->behind = near->ahead = f->far, near->slope = length;
 }
 
 /* What is left of the lumen at a point: the signed distance to the nearest of all walls, mm. Which wall that is, goes
@@ -347,6 +348,7 @@ static void write_row(const Near *near, double room, long rows, double *to) {
         to[k * rows] = near->centre[k], to[(3 + k) * rows] = near->tangent[k], to[(6 + k) * rows] = near->bend[k];
     }
     to[9 * rows] = room, to[10 * rows] = near->taper, to[11 * rows] = near->behind, to[12 * rows] = near->ahead;
+    to[13 * rows] = near->slope;
 }
 
 /* What describes the wall around unknowns x under a load, (places, COLUMNS) by columns, and then the slack needed, mm.
@@ -369,8 +371,9 @@ void around(Wall *w, const double *x, const double *load, double *found) {
                     left = left_at(w, p, &seen, &near, &which) - w->outer[row / w->places] - w->clearance;
                 } else {
                     look(w, p, &seen, &near);
-                    room = near.radius - w->outer[row / w->places] - w->clearance;
-                    left = room - sqrt(near.distance * near.distance + w->centred * w->centred);
+                    /* Programs take away the slope times the distance from the path: so much room is on it. */
+                    room = near.radius + (near.slope - 1) * near.distance - w->outer[row / w->places] - w->clearance;
+                    left = room - near.slope * sqrt(near.distance * near.distance + w->centred * w->centred);
                 }
                 narrow = left < narrow || left != left ? left : narrow;
             }
@@ -415,6 +418,7 @@ void look_beside(const Wall *w, long count, const double *points, double *found)
         memcpy(found + 2, near.centre, 3 * sizeof *found), memcpy(found + 5, near.tangent, 3 * sizeof *found);
         memcpy(found + 8, near.curvature, 3 * sizeof *found), memcpy(found + 11, near.bend, 3 * sizeof *found);
         found[14] = near.taper, found[15] = near.behind, found[16] = near.ahead;
+        found[17] = near.slope;
     }
 }
 

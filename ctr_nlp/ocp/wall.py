@@ -160,22 +160,21 @@ class Wall:
             beta[-1], WALL_MIN_DENOMINATOR
         )
         near = self.geometry.project(self._points(x, sigma, numbers, loads))
-        room = (
-            near.radius
-            - np.repeat(tube_outer_radii(self.robot), WALL_SAMPLES_PER_TUBE * self.subsamples)
-            - self.clearance
-        )
+        outer = np.repeat(tube_outer_radii(self.robot), WALL_SAMPLES_PER_TUBE * self.subsamples)
+        # The program takes away the slope times the distance from the path: there is so much room on the path.
+        room = near.radius + (near.slope - 1) * near.distance - outer - self.clearance
         # At sample points the same rounded distance as in the program (terms.lumen.room_beside_path), so that both
         # agree on the slack; between them the distance itself, for which C needs no derivatives of the wall.
-        left = room - near.distance
+        left = room - near.slope * near.distance
         at_samples = np.s_[..., self.subsamples - 1 :: self.subsamples]
-        left[at_samples] = room[at_samples] - np.hypot(near.distance[at_samples], CENTRELINE_SMOOTHING_MM)
+        rounded = np.hypot(near.distance[at_samples], CENTRELINE_SMOOTHING_MM)
+        left[at_samples] = room[at_samples] - near.slope[at_samples] * rounded
         # The room at a sample point is reduced to the least between the one before and it: contact in between is
         # not missed.
         room -= left - np.repeat(left.reshape(len(x), -1, self.subsamples).min(axis=-1), self.subsamples, axis=-1)
         # What the program sees of a wall: the path to second order, the radius to first.
-        numbers = np.stack([room, near.taper, near.length_before, near.length_after], axis=-1)
-        # In the order of terms.lumen.WALL_COLUMN_COUNT: three vectors, then four numbers.
+        numbers = np.stack([room, near.taper, near.length_before, near.length_after, near.slope], axis=-1)
+        # In the order of terms.lumen.WALL_COLUMN_COUNT: three vectors, then five numbers.
         wall = np.concatenate([near.centre, near.tangent, near.bend, numbers], axis=-1)
         # The last subsample of each sample point is the point itself.
         return wall[:, self.subsamples - 1 :: self.subsamples], np.maximum(-left.min(axis=1), 0.0)

@@ -240,7 +240,8 @@ def osculating_path(
     bends by -k1 n; the lumen's radius there is d + rho. The distance to the wall of that lumen then agrees with
     the field in its value, in the direction of its slope, and in its curvatures across it, up to rho limited to
     [sharpest, FLATTEST_RADIUS_MM]: a wall that is flat or bulges inwards along e2 counts as flat in that
-    direction.
+    direction. The size of the slope is a number of its own: it is 1 for distances, but less where a smoothed field
+    has walls on both sides nearby, and programs that take it for 1 have slopes there that are far off.
 
     Parameters
     ----------
@@ -260,7 +261,8 @@ def osculating_path(
     normal = np.where(flat[:, None], [0.0, 0.0, 1.0], gradient / np.where(flat, 1.0, length)[:, None])
     e1, e2 = perpendicular_axes(normal)
     across = np.stack([e1, e2], axis=1)
-    bend = across @ hessian @ across.transpose(0, 2, 1)
+    # Curvatures of the surface on which the field has this value.
+    bend = across @ hessian @ across.transpose(0, 2, 1) / np.where(flat, 1.0, length)[:, None, None]
     # Eigenvalues of the symmetric 2 x 2 matrix in closed form; C has the same lines (wall.c).
     mean = (bend[:, 0, 0] + bend[:, 1, 1]) / 2
     # Adding 0 makes a negative zero a positive one, whose angle is 0 in C, too.
@@ -275,7 +277,7 @@ def osculating_path(
     far = np.where(np.isfinite(distance), FAR_MM, np.nan)
     return (
         *(radius_across, distance + radius_across, centre, tangent, bend_along, bend_along),
-        *(0.0 * distance, far, far),
+        *(0.0 * distance, far, far, length),
     )
 
 

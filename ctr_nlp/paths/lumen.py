@@ -50,6 +50,9 @@ class LumenProjection(NamedTuple):
         Growth of the radius per mm that the point moves along the tangent (..,).
     length_before, length_after : ndarray
         Length of the path before and after that point (..,), mm.
+    slope : ndarray
+        How much less room there is for each mm farther from the path (..,): 1 beside a path, less in the narrow
+        places of a smoothed distance field.
     """
 
     distance: Array
@@ -61,6 +64,7 @@ class LumenProjection(NamedTuple):
     taper: Array
     length_before: Array
     length_after: Array
+    slope: Array
 
 
 class Lumen:
@@ -173,7 +177,8 @@ class Lumen:
         radius = self._radius(s)
         sharpest = 1.0 / radius / np.maximum(np.linalg.norm(curvature, axis=-1), LEAST_CURVATURE_PER_MM)
         bend = curvature * np.minimum(sharpest, 1.0)[..., None]
-        return LumenProjection(distance, radius, centre, tangent, curvature, bend, taper, s, self._along[-1] - s)
+        along = s, self._along[-1] - s
+        return LumenProjection(distance, radius, centre, tangent, curvature, bend, taper, *along, 1 + 0 * s)
 
     def clearance(self, robot: Robot, beta: Array, sigma: Array, shape: Array) -> Array:
         """Return the clearance between tubes and the wall.

@@ -35,6 +35,7 @@ from ctr_nlp.ocp.terms.lumen import (
     SLACK_SQUARE_COST,
     WALL_COLUMN_COUNT,
     WALL_SAMPLES_PER_TUBE,
+    WALL_SLOPE_COLUMN,
     no_wall_parameters,
 )
 from ctr_nlp.ocp.wall import WALL_SLACK_TOLERANCE_MM, WALL_SUBSAMPLES, Wall
@@ -49,6 +50,10 @@ BOTH = pytest.mark.parametrize("solve", [solve_horizon, solve_per_frame])
 NO_WALL = Settings(contact_weight=0.0)
 WALLED = Settings(contact_allowed=100.0)
 """Contact costs the same a mm however deep it is."""
+
+
+LENGTH_AHEAD = WALL_SLOPE_COLUMN - 1
+"""Column of how far the path continues ahead; the one before it is that behind."""
 
 
 # What a frame knows of the wall
@@ -126,7 +131,7 @@ def test_rows_are_the_least_room_up_to_every_place(model, seed):
 
 
 def test_places_beyond_the_lumens_end_are_among_those_looked_at():
-    ahead = [Described("dominant", seed).values["wall"][:, -1] for seed in range(6)]
+    ahead = [Described("dominant", seed).values["wall"][:, LENGTH_AHEAD] for seed in range(6)]
     assert 0 < sum((each == 0).any() for each in ahead) < 6
 
 
@@ -145,7 +150,8 @@ def test_rows_change_with_the_configuration_as_the_room_does(model, seed):
         return near.radius - np.hypot(near.distance, CENTRELINE_SMOOTHING_MM)
 
     at = frame.values["wall"]
-    smooth = ((at[:, -2:] == 0) | (at[:, -2:] > 0.01)).all(axis=1)
+    lengths = at[:, LENGTH_AHEAD - 1 : LENGTH_AHEAD + 1]
+    smooth = ((lengths == 0) | (lengths > 0.01)).all(axis=1)
     assert smooth.sum() > 3 * WALL_SAMPLES_PER_TUBE - 3
     np.testing.assert_allclose(found[smooth], central(room, frame.x, 1e-5)[smooth], atol=1e-3)
 

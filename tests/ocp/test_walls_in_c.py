@@ -1,5 +1,6 @@
 """Walls that are distance fields: C beside numpy, and formulas beside both."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from distance_walls import BALL, TUBE, bent_tube
@@ -10,6 +11,7 @@ from ctr_nlp import table_i_robot
 from ctr_nlp.codegen import cache
 from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp.compiled_wall import WallDistance
+from ctr_nlp.ocp.terms.lumen import room_beside_path
 from ctr_nlp.ocp.wall import Wall
 from ctr_nlp.paths.distance_field import BLOCK_NODES
 from ctr_nlp.paths.lumen import Lumen
@@ -60,6 +62,36 @@ def test_second_derivatives_do_not_jump_between_cells_and_blocks():
     assert both.sum() > 500
     one, other = (TUBE.field.evaluate(side[both])[2] for side in sides)
     np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+def rooms_of_the_program(points, near):
+    """Room at points (n, 3) as programs write it, and its slopes (n, 3), with the wall described near them."""
+    room = near.radius + (near.slope - 1) * near.distance
+    columns = near.centre, near.tangent, near.bend
+    numbers = room, near.taper, near.length_before, near.length_after, near.slope
+    wall = np.column_stack([*columns, *numbers])
+    p, about = ca.SX.sym("p", 3), ca.SX.sym("about", wall.shape[1])
+    path = [ca.vertsplit(about[3 * k : 3 * k + 3]) for k in range(3)]
+    written = room_beside_path(ca.vertsplit(p), path, ca.vertsplit(about[9:]))
+    found = ca.Function("room", [p, about], [written, ca.jacobian(written, p)])
+    rows = [found(*each) for each in zip(points, wall, strict=True)]
+    return np.array([float(value) for value, _ in rows]), np.array([slope.full().ravel() for _, slope in rows])
+
+
+@given(NEAR)
+def test_programs_have_the_slopes_of_the_field(seed):
+    """In the middle of a lumen, too, where a smoothed field is flat: taken for 1, its slope is far off there."""
+    points = points_near(seed, 30)
+    value, slope, _ = TUBE.field.evaluate(points)
+    steep = np.linalg.norm(slope, axis=1)
+    found, slopes = rooms_of_the_program(points, Walls(None, (TUBE,)).project(points))
+    np.testing.assert_allclose(found, value, atol=0.01)
+    np.testing.assert_allclose(slopes[steep > 0.01], slope[steep > 0.01], atol=1e-3)
+
+
+def test_fields_are_flat_in_the_middle_of_a_lumen():
+    middle = np.array([[0.0, 0.0, 0.0]])
+    assert np.linalg.norm(TUBE.field.evaluate(middle)[1]) < 0.9
 
 
 @given(NEAR)

@@ -3,7 +3,8 @@
 At sample points on the robot, r(p) - |C - p| - rho + z >= c with one slack z >= 0 for all of them (mm), at a cost
 w z: an exact penalty, for which z = 0 wherever the clearance c can be kept at a smaller cost. r is the lumen's
 radius at the path's nearest point p, and rho the tube's outer radius. Near a configuration the path is described
-to second order and the radius to first (ocp/wall.py).
+to second order and the radius to first (ocp/wall.py). A wall that is a distance field stands there as a path whose
+distance counts as often as the field is steep.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from ctr_nlp.typing import Array, Vector
 
 WALL_SAMPLES_PER_TUBE = 12
 """Sample points on every tube's visible part; the last is its tip."""
-WALL_COLUMN_COUNT = 13
-"""Numbers that describe the wall at a sample point: centre (3), tangent (3), bend (3), room, taper, behind and
-ahead.
+WALL_COLUMN_COUNT = 14
+"""Numbers that describe the wall at a sample point: centre (3), tangent (3), bend (3), room, taper, behind, ahead
+and slope.
 """
-WALL_ROOM_COLUMN = 9
-"""Column of the room; the ones before it are vectors."""
+WALL_ROOM_COLUMN, WALL_SLOPE_COLUMN = 9, 13
+"""Columns of the room and of the slope; those before the room are vectors."""
 NO_WALL_ROOM_MM = 1e3
 """Room in mm that no robot fills: it stands for no wall."""
 SLACK_SQUARE_COST = 1e-3
@@ -51,10 +52,10 @@ def room_beside_path(points: Vector, path: Sequence[Vector], wall: Sequence[ca.S
     """Return the room (n, 1) that the lumen leaves a robot beside a path, mm; negative in contact.
 
     points: x, y, z, each (n, 1) mm. path: its point near each, its tangent and its bend, 1/mm, in the same axes.
-    wall, each (n, 1): the room there, mm, how much more there is a mm further, and how far the path continues
-    behind and ahead, mm.
+    wall, each (n, 1): the room there, mm, how much more there is a mm further, how far the path continues behind
+    and ahead, mm, and how much less room there is a mm farther from the path.
     """
-    (centre, tangent, bend), (room, taper, behind, ahead) = path, wall
+    (centre, tangent, bend), (room, taper, behind, ahead, slope) = path, wall
     away = [points[i] - centre[i] for i in range(3)]
     # Along the tangent to the foot of the perpendicular, but not beyond the path's ends.
     further = ca.fmax(ca.fmin(sum(away[i] * tangent[i] for i in range(3)), ahead), -behind)
@@ -63,7 +64,7 @@ def room_beside_path(points: Vector, path: Sequence[Vector], wall: Sequence[ca.S
     # CENTRELINE_SMOOTHING_MM keeps the root's slope finite on the path itself, where the direction to the wall is
     # undefined.
     distance = ca.sqrt(sum(part**2 for part in across) + CENTRELINE_SMOOTHING_MM**2)
-    return room + taper * further - distance
+    return room + taper * further - slope * distance
 
 
 def room_at_samples(body: Body, wall: ca.SX) -> tuple[Inner, ca.SX]:
@@ -127,6 +128,7 @@ def no_wall_parameters(d: int) -> dict[str, Any]:
     wall = np.zeros((d * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT))
     # Zero vectors and much room: rows that are always satisfied, and a weight of 0.
     wall[:, WALL_ROOM_COLUMN] = NO_WALL_ROOM_MM
+    wall[:, WALL_SLOPE_COLUMN] = 1.0
     return {"wall": wall, "contact_weight": 0.0, "contact_allowed": 0.0}
 
 
