@@ -161,8 +161,7 @@ class Wall:
         )
         near = self.geometry.project(self._points(x, sigma, numbers, loads))
         outer = np.repeat(tube_outer_radii(self.robot), WALL_SAMPLES_PER_TUBE * self.subsamples)
-        # The program takes away the slope times the distance from the path: there is so much room on the path.
-        room = near.radius + (near.slope - 1) * near.distance - outer - self.clearance
+        room = near.room_on_path - outer - self.clearance
         # At sample points the same rounded distance as in the program (terms.lumen.room_beside_path), so that both
         # agree on the slack; between them the distance itself, for which C needs no derivatives of the wall.
         left = room - near.slope * near.distance

@@ -258,11 +258,12 @@ def osculating_path(
     length = np.linalg.norm(gradient, axis=1)
     # Where the slope vanishes, in the middle of a lumen, any direction serves: no wall is near. NaN stays NaN.
     flat = length <= 1e-6
-    normal = np.where(flat[:, None], [0.0, 0.0, 1.0], gradient / np.where(flat, 1.0, length)[:, None])
+    steep = np.where(flat, 1.0, length)
+    normal = np.where(flat[:, None], [0.0, 0.0, 1.0], gradient / steep[:, None])
     e1, e2 = perpendicular_axes(normal)
     across = np.stack([e1, e2], axis=1)
     # Curvatures of the surface on which the field has this value.
-    bend = across @ hessian @ across.transpose(0, 2, 1) / np.where(flat, 1.0, length)[:, None, None]
+    bend = across @ hessian @ across.transpose(0, 2, 1) / steep[:, None, None]
     # Eigenvalues of the symmetric 2 x 2 matrix in closed form; C has the same lines (wall.c).
     mean = (bend[:, 0, 0] + bend[:, 1, 1]) / 2
     # Adding 0 makes a negative zero a positive one, whose angle is 0 in C, too.

@@ -66,6 +66,11 @@ class LumenProjection(NamedTuple):
     length_after: Array
     slope: Array
 
+    @property
+    def room_on_path(self) -> Array:
+        """Room on the path (..,), mm, of which programs take away the slope times the distance from it."""
+        return np.asarray(self.radius + (self.slope - 1) * self.distance)
+
 
 class Lumen:
     """A path and the radius of the lumen around it.
@@ -178,6 +183,7 @@ class Lumen:
         sharpest = 1.0 / radius / np.maximum(np.linalg.norm(curvature, axis=-1), LEAST_CURVATURE_PER_MM)
         bend = curvature * np.minimum(sharpest, 1.0)[..., None]
         along = s, self._along[-1] - s
+        # A slope of 1, and NaN where the point is.
         return LumenProjection(distance, radius, centre, tangent, curvature, bend, taper, *along, 1 + 0 * s)
 
     def clearance(self, robot: Robot, beta: Array, sigma: Array, shape: Array) -> Array:

@@ -66,9 +66,8 @@ def test_second_derivatives_do_not_jump_between_cells_and_blocks():
 
 def rooms_of_the_program(points, near):
     """Room at points (n, 3) as programs write it, and its slopes (n, 3), with the wall described near them."""
-    room = near.radius + (near.slope - 1) * near.distance
     columns = near.centre, near.tangent, near.bend
-    numbers = room, near.taper, near.length_before, near.length_after, near.slope
+    numbers = near.room_on_path, near.taper, near.length_before, near.length_after, near.slope
     wall = np.column_stack([*columns, *numbers])
     p, about = ca.SX.sym("p", 3), ca.SX.sym("about", wall.shape[1])
     path = [ca.vertsplit(about[3 * k : 3 * k + 3]) for k in range(3)]
@@ -90,7 +89,7 @@ def test_programs_have_the_slopes_of_the_field(seed):
 
 
 def test_fields_are_flat_in_the_middle_of_a_lumen():
-    middle = np.array([[0.0, 0.0, 0.0]])
+    middle = np.array([[100 * np.cos(0.5) - 100, 0.0, 100 * np.sin(0.5)]])
     assert np.linalg.norm(TUBE.field.evaluate(middle)[1]) < 0.9
 
 
