@@ -45,6 +45,7 @@ from ctr_nlp.planning.horizon import solve_horizon
 from ctr_nlp.planning.nlp_frames import DEFAULT_PLANNER_SETTINGS
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
+from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.value_checks import number
 from ctr_nlp.typing import Array, Flags
 
@@ -198,7 +199,8 @@ def solve_on_wall(
     -------
     Plan
         The motion, with shapes and margins of the robot on the wall, and the wall's forces (``plan.wall_force``).
-        Returned also where the limit is exceeded: check ``plan.verdicts.within_wall``.
+        Returned also where the limit is exceeded: check ``plan.verdicts.within_wall``. Ctrl-C ends the search with
+        what was found until then.
 
     Raises
     ------
@@ -223,59 +225,63 @@ def solve_on_wall(
     wall = problem.wall
     assert wall is not None
     begin = time.perf_counter()
-    start = solve_horizon(problem, settings=settings, progress=progress) if initial is None else initial
-    equilibria = ContactEquilibria(problem.robot, WinklerWall(wall, stiffness), Load())
-    model = KINEMATIC_MODELS[PHYSICAL_MODEL]
-    count = problem.frames
-    least = 0.0 if settings.stability_margin is None else settings.stability_margin
-    # A stiff wall would push the robot of a plan that goes through it to somewhere else, from where no search
-    # leads back. The search begins on a soft wall, with a limit as low in proportion, which is then hardened.
-    soft = _searched_on(problem, SOFT_WALL_SHARE * stiffness)
-    frames = ContactFrames(
-        problem,
-        soft,
-        np.full(count, least),
-        find_arrival(with_arrival((), settings, model)),
-        _states_along(soft, start.q),
-    )
-    planned = np.full(count, PLANNED_FORCE_FRACTION * limit)
+    with deferred_interrupt() as interrupted:
+        start = solve_horizon(problem, settings=settings, progress=progress) if initial is None else initial
+        equilibria = ContactEquilibria(problem.robot, WinklerWall(wall, stiffness), Load())
+        model = KINEMATIC_MODELS[PHYSICAL_MODEL]
+        count = problem.frames
+        least = 0.0 if settings.stability_margin is None else settings.stability_margin
+        # A stiff wall would push the robot of a plan that goes through it to somewhere else, from where no search
+        # leads back. The search begins on a soft wall, with a limit as low in proportion, which is then hardened.
+        soft = _searched_on(problem, SOFT_WALL_SHARE * stiffness)
+        frames = ContactFrames(
+            problem,
+            soft,
+            np.full(count, least),
+            find_arrival(with_arrival((), settings, model)),
+            _states_along(soft, start.q),
+        )
+        planned = np.full(count, PLANNED_FORCE_FRACTION * limit)
 
-    def solve() -> tuple[ContactSolution, ContactReplay]:
-        """Solve with the margins and the limit as they are, from the equilibria as they are, and replay."""
-        found = search(planned)
-        return found, replay_on_wall(equilibria, wall, np.stack([state.q for state in found.states]))
+        def solve() -> tuple[ContactSolution, ContactReplay]:
+            """Solve with the margins and the limit as they are, from the equilibria as they are, and replay."""
+            found = search(planned)
+            return found, replay_on_wall(equilibria, wall, np.stack([state.q for state in found.states]))
 
-    def search(allowed: Array, least_gain: float = 0.0) -> ContactSolution:
-        """Solve from the equilibria as they are, with forces up to `allowed` (T,) N at each place.
+        def search(allowed: Array, least_gain: float = 0.0) -> ContactSolution:
+            """Solve from the equilibria as they are, with forces up to `allowed` (T,) N at each place.
 
-        least_gain: as of solve_contact_chain.
-        """
-        chain = contact_chain(frames, allowed, float(start.options["motion_weight"]))
-        return solve_contact_chain(chain, show, least_gain)
+            least_gain: as of solve_contact_chain.
+            """
+            chain = contact_chain(frames, allowed, float(start.options["motion_weight"]))
+            return solve_contact_chain(chain, show, least_gain, interrupted)
 
-    def show(done: int, objective: float) -> None:
-        if progress is not None:
-            progress(done, done, f"on the wall, objective {objective:.4g} mm²")
+        def show(done: int, objective: float) -> None:
+            if progress is not None:
+                progress(done, done, f"on the wall, objective {objective:.4g} mm²")
 
-    solution = search(SOFT_WALL_SHARE * planned, LEAST_SOFT_GAIN)
-    frames = replace(
-        frames,
-        equilibria=_searched_on(problem, stiffness),
-        states=harden(problem, ContactStates.stack(solution.states), SOFT_WALL_SHARE * stiffness, stiffness),
-    )
-    tried = list[tuple[JudgedReplay, ContactSolution, ContactReplay]]()
-    for _ in range(1 + MAX_ROUNDS):
-        solution, replay = solve()
-        judged = judge_replay(solution, replay, least, limit)
-        tried.append((judged, solution, replay))
-        if judged.is_good:
-            break
-        # Both frames around a sub-step that fails get more margin, as in plans without contact, or a lower limit.
-        more = np.maximum(judged.missing_margin, np.append(judged.missing_margin[1:], 0.0))
-        planned = planned / np.maximum(judged.force_ratio, np.append(judged.force_ratio[1:], 1.0))
-        frames = replace(frames, margin=frames.margin + 1.2 * more, states=list(solution.states))
+        solution = search(SOFT_WALL_SHARE * planned, LEAST_SOFT_GAIN)
+        frames = replace(
+            frames,
+            equilibria=_searched_on(problem, stiffness),
+            states=harden(problem, ContactStates.stack(solution.states), SOFT_WALL_SHARE * stiffness, stiffness),
+        )
+        tried = list[tuple[JudgedReplay, ContactSolution, ContactReplay]]()
+        for _ in range(1 + MAX_ROUNDS):
+            solution, replay = solve()
+            judged = judge_replay(solution, replay, least, limit)
+            tried.append((judged, solution, replay))
+            if judged.is_good or interrupted():
+                break
+            # Both frames around a sub-step that fails get more margin, as in plans without contact, or a lower
+            # limit.
+            more = np.maximum(judged.missing_margin, np.append(judged.missing_margin[1:], 0.0))
+            planned = planned / np.maximum(judged.force_ratio, np.append(judged.force_ratio[1:], 1.0))
+            frames = replace(frames, margin=frames.margin + 1.2 * more, states=list(solution.states))
+        stopped = interrupted()
     _, solution, replay = min(tried, key=lambda each: each[0].rank)
-    return _plan_of(start, solution, replay, problem, limit, stiffness, time.perf_counter() - begin)
+    plan = _plan_of(start, solution, replay, problem, limit, stiffness, time.perf_counter() - begin)
+    return replace(plan, meta=plan.meta | {"interrupted": stopped})
 
 
 class JudgedReplay(NamedTuple):

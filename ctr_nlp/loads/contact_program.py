@@ -232,11 +232,13 @@ def solve_contact_chain(
     chain: ContactChain,
     progress: Callable[[int, float], None] | None = None,
     least_gain: float = 0.0,
+    stop: Callable[[], bool] = lambda: False,
 ) -> ContactSolution:
     """Solve a chain from the present equilibria of its frames.
 
     progress: called with the number of iterations and the objective after each. least_gain: part of the objective
-    by which the last GAIN_ITERATIONS must have lowered it for the search to go on.
+    by which the last GAIN_ITERATIONS must have lowered it for the search to go on. stop: asked whether to end,
+    after each iteration.
     """
     frames = chain.on_wall
     assert frames is not None
@@ -253,16 +255,16 @@ def solve_contact_chain(
         if progress is not None:
             progress(iterate.number, iterate.objective)
 
-    def converged() -> bool:
+    def is_done() -> bool:
         last = reported[-1]
         earlier = reported[-min(len(reported), GAIN_ITERATIONS)].objective
         gained = len(reported) < GAIN_ITERATIONS or earlier - last.objective >= least_gain * earlier
         slow = least_gain > 0 and not gained
-        return slow or (last.error <= CONTACT_KKT_TOLERANCE and last.violation <= FEASIBILITY_TOLERANCE)
+        return stop() or slow or (last.error <= CONTACT_KKT_TOLERANCE and last.violation <= FEASIBILITY_TOLERANCE)
 
     soft = np.column_stack([shortfall, excess]) / SOFT_UNIT + SOFT_START
     solution = BandedSolver(chain)(
-        np.hstack([frames.y, soft]).ravel(), Watch(report, converged), WARM_START_BARRIER_MM2
+        np.hstack([frames.y, soft]).ravel(), Watch(report, is_done), WARM_START_BARRIER_MM2
     )
     multipliers = np.concatenate([solution.lam_x, solution.lam_g])
     kkt = np.nan_to_num(chain.kkt(solution.x, multipliers), nan=np.inf)

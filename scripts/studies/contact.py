@@ -1,10 +1,11 @@
 """Compare plans that lean on the wall with plans that keep off it, at the narrowest ends of a tree.
 
-python scripts/studies/contact.py MASK FILE.csv --from-carina [--robot stock_1] [--ends 20] [--frames 25]
+python scripts/studies/contact.py MASK FILE.csv --from-carina [--robot stock_1] [--ends 20] [--seconds 90]
 
 Each end gets up to three plans for the robot as described: one that may touch the wall by so many mm ("avoids"),
 one that begins with it and may lean on the wall with so much force ("leans"), and, where that one presses harder
-than half as much as the first, one that may press half as much ("halves"). All are moved along the wall in ten
+than half as much as the first, one that may press half as much ("halves"). A plan that takes too long is stopped,
+and counts as far as it was found. All are moved along the wall in ten
 sub-steps a frame, and the largest force at a place is found. A row is written for each end as it is done; ends in
 the file are left.
 """
@@ -13,7 +14,10 @@ from __future__ import annotations
 
 import argparse
 import csv
+import signal
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +58,9 @@ def main() -> None:
     parser.add_argument("--frames", metavar="T", type=int, default=25, help="frames of a plan (default 25)")
     parser.add_argument("--force", metavar="N", type=float, default=CONTACT_FORCE_ALLOWED_N, help="allowed, N")
     parser.add_argument("--from-carina", action="store_true", help="insert the robot at the main bifurcation")
+    parser.add_argument(
+        "--seconds", metavar="S", type=float, default=90.0, help="process time of a plan (default 90)"
+    )
     asked = parser.parse_args()
     robot = with_modulus(read_robot(asked.robot), NITINOL_MPA)
     tree = read_lumen_tree(asked.mask, from_carina=asked.from_carina)
@@ -63,7 +70,7 @@ def main() -> None:
         if (asked.robot, str(end)) in done:
             continue
         row = {"robot": asked.robot, "end": end, "room_mm": round(room, 3)}
-        row |= compare_plans(tree.problem(end, robot, asked.frames), asked.force)
+        row |= compare_plans(tree.problem(end, robot, asked.frames), asked.force, asked.seconds)
         rows.append(dict.fromkeys(COLUMNS, "") | row)
         write_csv(asked.table, rows)
         print(", ".join(f"{name} {value}" for name, value in row.items() if value != ""), flush=True)
@@ -77,22 +84,42 @@ def narrowest_ends(tree: LumenTree, robot: Robot) -> list[tuple[int, float]]:
     return sorted(((k, room.margin) for k, room in rooms if room is not None), key=lambda each: each[1])
 
 
-def compare_plans(problem: Problem, limit: float) -> dict[str, Any]:
-    """Plan to an end with and without leaning on the wall; return the columns of its row."""
+def compare_plans(problem: Problem, limit: float, seconds: float) -> dict[str, Any]:
+    """Plan to an end with and without leaning on the wall; return the columns of its row.
+
+    limit: largest force at a place, N. seconds: process time of a plan.
+    """
     begin = time.process_time()
-    avoids = solve_horizon(problem)
+    with interrupt_after(seconds):
+        avoids = solve_horizon(problem)
     found: dict[str, Any] = {f"avoids_{name}": value for name, value in describe(avoids).items()}
     force = found["avoids_force_N"] = peak_force(problem, avoids)
-    found |= lean("leans", problem, avoids, limit)
+    found |= lean("leans", problem, avoids, limit, seconds)
     if isinstance(force, float) and force > 0 and found.get("leans_force_N", 0.0) > force / 2:
-        found |= lean("halves", problem, avoids, force / 2)
+        found |= lean("halves", problem, avoids, force / 2, seconds)
     return found | {"process_s": round(time.process_time() - begin)}
 
 
-def lean(way: str, problem: Problem, avoids: Plan, limit: float) -> dict[str, Any]:
-    """Return the columns called `way`: of a plan that leans on the wall with at most `limit` N at a place."""
+@contextmanager
+def interrupt_after(seconds: float) -> Iterator[None]:
+    """Press Ctrl-C after so much process time: a planner then ends with the best that it has."""
+    before = signal.signal(signal.SIGPROF, lambda number, frame: signal.raise_signal(signal.SIGINT))
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
-        plan = solve_on_wall(problem, limit, initial=avoids)
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def lean(way: str, problem: Problem, avoids: Plan, limit: float, seconds: float) -> dict[str, Any]:
+    """Return the columns called `way`: of a plan that leans on the wall with at most `limit` N at a place.
+
+    seconds: process time of the plan.
+    """
+    try:
+        with interrupt_after(seconds):
+            plan = solve_on_wall(problem, limit, initial=avoids)
     except OptionError as error:
         return {f"{way}_failed": str(error)}
     assert plan.place_force_between is not None
@@ -101,7 +128,7 @@ def lean(way: str, problem: Problem, avoids: Plan, limit: float) -> dict[str, An
         "force_N": round(float(np.nanmax(plan.place_force_between)), 4),
         "margin": round(float(np.min(plan.stability_between)), 4),
         "margin_without_wall": round(float(np.min(plan.stability_without_wall)), 4),
-        "failed": " ".join(plan.verdicts.failed_names),
+        "failed": " ".join([*plan.verdicts.failed_names, *["stopped"] * plan.meta["interrupted"]]),
     }
     return {f"{way}_{name}": value for name, value in found.items()}
 
