@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 
 import numpy as np
 import pytest
@@ -68,6 +69,23 @@ def test_it_is_nearer_to_its_target_than_the_start_on_the_wall(plan, start):
         return float((np.linalg.norm(shape - plan.target, axis=2) ** 2).mean())
 
     assert error(plan.shape) < error(wall_forces(start).shape)
+
+
+def test_ctrl_c_ends_the_search_with_what_was_found(problem, start):
+    told = list[str]()
+
+    def press(done: int, total: int, note: str) -> None:
+        if not told:
+            signal.raise_signal(signal.SIGINT)
+        told.append(note)
+
+    plan = solve_on_wall(problem, LIMIT_N, initial=start, progress=press)
+    assert 1 < len(told) <= 4
+    assert plan.meta["interrupted"]
+    assert not plan.success.any()
+    assert plan.verdicts.solved.word == "no"
+    assert np.isfinite(plan.q).all()
+    assert np.isfinite(plan.place_force).all()
 
 
 def test_forces_are_saved_and_told(plan, tmp_path):
