@@ -95,7 +95,8 @@ def compare_plans(problem: Problem, limit: float, seconds: float) -> dict[str, A
     found: dict[str, Any] = {f"avoids_{name}": value for name, value in describe(avoids).items()}
     force = found["avoids_force_N"] = peak_force(problem, avoids)
     found |= lean("leans", problem, avoids, limit, seconds)
-    if isinstance(force, float) and force > 0 and found.get("leans_force_N", 0.0) > force / 2:
+    leaning = found.get("leans_force_N")
+    if isinstance(force, float) and isinstance(leaning, float) and leaning > force / 2 > 0:
         found |= lean("halves", problem, avoids, force / 2, seconds)
     return found | {"process_s": round(time.process_time() - begin)}
 
@@ -124,9 +125,11 @@ def lean(way: str, problem: Problem, avoids: Plan, limit: float, seconds: float)
         return {f"{way}_failed": str(error)}
     assert plan.place_force_between is not None
     assert plan.stability_without_wall is not None
+    # Where the robot snaps, nothing is known of the frames that follow.
+    known = np.isfinite(plan.stability_between).all()
     found = describe(plan) | {
-        "force_N": round(float(np.nanmax(plan.place_force_between)), 4),
-        "margin": round(float(np.min(plan.stability_between)), 4),
+        "force_N": round(float(np.max(plan.place_force_between)), 4) if known else "snaps",
+        "margin": round(float(np.min(plan.stability_between)), 4) if known else "snaps",
         "margin_without_wall": round(float(np.min(plan.stability_without_wall)), 4),
         "failed": " ".join([*plan.verdicts.failed_names, *["stopped"] * plan.meta["interrupted"]]),
     }
@@ -136,12 +139,13 @@ def lean(way: str, problem: Problem, avoids: Plan, limit: float, seconds: float)
 def describe(plan: Plan) -> dict[str, Any]:
     """Return where a plan's tip ends, its deepest contact, mm, and whether no check fails.
 
-    Built robots are not simulated.
+    Built robots are not simulated. Where the tip ends is "" where the robot snaps before.
     """
     verdicts = plan.verdicts
     assert plan.clearance_between is not None
+    tip = verdicts.arrives.number
     return {
-        "tip_mm": round(float(verdicts.arrives.number or 0.0), 3),
+        "tip_mm": "" if tip is None else round(float(tip), 3),
         "contact_mm": round(max(0.0, -float(np.nanmin(plan.clearance_between))), 3),
         "reached": "yes" if verdicts.end_reached_as_described else "no",
     }
@@ -183,7 +187,7 @@ def is_halved(row: dict[str, str]) -> bool:
     The limit of arrival counts as near, too.
     """
     near = max(float(row["avoids_tip_mm"]), Settings().arrival_tolerance)
-    ways = [way for way in ("leans", "halves") if row[f"{way}_force_N"]]
+    ways = [way for way in ("leans", "halves") if row[f"{way}_force_N"] not in ("", "snaps")]
     most = HALF * float(row["avoids_force_N"])
     return any(float(row[f"{way}_force_N"]) <= most and float(row[f"{way}_tip_mm"]) <= near for way in ways)
 
