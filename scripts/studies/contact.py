@@ -5,9 +5,8 @@ python scripts/studies/contact.py MASK FILE.csv --from-carina [--robot stock_1] 
 Each end gets up to three plans for the robot as described: one that may touch the wall by so many mm ("avoids"),
 one that begins with it and may lean on the wall with so much force ("leans"), and, where that one presses harder
 than half as much as the first, one that may press half as much ("halves"). A plan that takes too long is stopped,
-and counts as far as it was found. All are moved along the wall in ten
-sub-steps a frame, and the largest force at a place is found. A row is written for each end as it is done; ends in
-the file are left.
+and counts as far as it was found. All are moved along the wall in ten sub-steps a frame, and the largest force at
+a place is found. A row is written for each end as it is done; ends in the file are left.
 """
 
 from __future__ import annotations
@@ -40,7 +39,16 @@ HALF = 0.5 + 1e-3
 NITINOL_MPA = 60_000.0
 """Young's modulus of tubes whose file tells none."""
 COLUMNS = (
-    *("robot", "end", "room_mm", "avoids_tip_mm", "avoids_contact_mm", "avoids_reached", "avoids_force_N"),
+    *(
+        "robot",
+        "end",
+        "room_mm",
+        "avoids_tip_mm",
+        "avoids_contact_mm",
+        "avoids_reached",
+        "avoids_force_N",
+        "avoids_failed",
+    ),
     *("leans_tip_mm", "leans_contact_mm", "leans_reached", "leans_force_N", "leans_margin"),
     *("leans_margin_without_wall", "leans_failed"),
     *("halves_tip_mm", "halves_contact_mm", "halves_reached", "halves_force_N", "halves_margin"),
@@ -131,13 +139,12 @@ def lean(way: str, problem: Problem, avoids: Plan, limit: float, seconds: float)
         "force_N": round(float(np.max(plan.place_force_between)), 4) if known else "snaps",
         "margin": round(float(np.min(plan.stability_between)), 4) if known else "snaps",
         "margin_without_wall": round(float(np.min(plan.stability_without_wall)), 4),
-        "failed": " ".join([*plan.verdicts.failed_names, *["stopped"] * plan.meta["interrupted"]]),
     }
     return {f"{way}_{name}": value for name, value in found.items()}
 
 
 def describe(plan: Plan) -> dict[str, Any]:
-    """Return where a plan's tip ends, its deepest contact, mm, and whether no check fails.
+    """Return where a plan's tip ends, its deepest contact, mm, whether it reaches its end, and what failed.
 
     Built robots are not simulated. Where the tip ends is "" where the robot snaps before.
     """
@@ -148,6 +155,7 @@ def describe(plan: Plan) -> dict[str, Any]:
         "tip_mm": "" if tip is None else round(float(tip), 3),
         "contact_mm": round(max(0.0, -float(np.nanmin(plan.clearance_between))), 3),
         "reached": "yes" if verdicts.end_reached_as_described else "no",
+        "failed": " ".join([*verdicts.failed_names, *["stopped"] * plan.meta["interrupted"]]),
     }
 
 
