@@ -19,7 +19,7 @@ from ctr_nlp.ocp.shared.scenarios import shared_motion
 from ctr_nlp.paths.curve import curve_from_formula
 from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.solvers.compiled_functions import fastest_functions
-from ctr_nlp.solvers.scenarios import SharedSolver
+from ctr_nlp.solvers.scenarios import SharedSolver, interior_point
 from ctr_nlp.solvers.scenarios.bordered import solve_bordered_system as solved_by
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.solvers.scenarios.twists import TwistSteps
@@ -186,6 +186,27 @@ def test_a_point_that_is_no_solution_is_not_called_one(motion, q):
     found = SharedSolver(motion)(q, np.repeat(_settled(q)[:, :1], 3, axis=1), max_iterations=2)
     assert not found.success
     assert found.status == "Maximum_Iterations_Exceeded"
+
+
+def test_of_points_that_steps_go_to_and_fro_between_the_best_is_returned(motion, q, monkeypatch):
+    """Where second derivatives jump, objectives agree and residuals do not: a step more would lose a solution."""
+    advance = interior_point._InteriorPointSolve.advance
+
+    def disturbed(run):
+        """Make a step; at the last barrier, end it with multipliers far from stationary."""
+        why = advance(run)
+        if run._barrier == run._last and len(run._objectives) > interior_point.STALL_ITERATIONS - 1:
+            run.point = replace(run.point, at_upper=run.point.at_upper + 1.0)
+        return why
+
+    # No residual is small enough, so that the solve ends once the objective no longer falls.
+    monkeypatch.setattr(interior_point, "SHARED_RESIDUAL_PER_BARRIER", 0.0)
+    monkeypatch.setattr(interior_point, "SHARED_MIN_RESIDUAL_TOLERANCE", 0.0)
+    monkeypatch.setattr(interior_point._InteriorPointSolve, "advance", disturbed)
+    found = SharedSolver(motion)(q, np.repeat(_settled(q)[:, :1], 3, axis=1))
+    assert found.status == "Solved_To_Acceptable_Level"
+    assert found.success, found
+    assert found.kkt < 1e-4
 
 
 def test_tips_of_scenarios_on_a_model_without_twist_turn_with_their_motors(problem, q):

@@ -26,7 +26,13 @@ from ctr_nlp.solvers.scenarios.bordered import solve_bordered_system
 from ctr_nlp.solvers.scenarios.common import NO_COMMON_UNKNOWNS
 from ctr_nlp.solvers.scenarios.condensed import Expansion
 from ctr_nlp.solvers.scenarios.filter import Filter
-from ctr_nlp.solvers.scenarios.rows import MIN_BOUND_DISTANCE_FRACTION, SharedPoint, SharedRows, SharedSolution
+from ctr_nlp.solvers.scenarios.rows import (
+    MIN_BOUND_DISTANCE_FRACTION,
+    BarrierErrors,
+    SharedPoint,
+    SharedRows,
+    SharedSolution,
+)
 from ctr_nlp.typing import Array
 
 FINE_LAST_BARRIER_MM2, COARSE_LAST_BARRIER_MM2 = 1e-6, 1e-4
@@ -155,11 +161,13 @@ class _InteriorPointSolve:
         self._about = rows.expand(self.point)
         self._filter = Filter(rows.merit(self._about.at, start.slack, barrier).infeasibility)
         self._objectives = list[float]()
+        self._nearest: tuple[float, SharedPoint] | None = None
 
     def status(self) -> str:
         """Return why the solve has ended, or ""; lower the barrier where its problem is solved."""
         errors = self._rows.errors(self.point, self._about)
         known = self._objectives
+        self._note_nearest(errors)
         slow = (
             self._rough
             and errors.infeasibility <= ROUGH_INFEASIBILITY_TOLERANCE
@@ -177,7 +185,12 @@ class _InteriorPointSolve:
         stalled = errors.infeasibility <= SHARED_INFEASIBILITY_TOLERANCE and len(known) > STALL_ITERATIONS
         stalled = stalled and known[-STALL_ITERATIONS] - known[-1] < SHARED_STALL_DECREASE * (1 + abs(known[-1]))
         if stalled and self._barrier == self._last:
-            return "" if self._update_local_parameters() else "Solved_To_Acceptable_Level"
+            if self._update_local_parameters():
+                return ""
+            # Of points that steps go to and fro between, objectives are equal and residuals may differ by 1e4.
+            if self._nearest is not None:
+                self.point = self._nearest[1]
+            return "Solved_To_Acceptable_Level"
         stalled = stalled or slow
         # Several barriers may be passed in one go; after each the filter is cleared, since its objectives
         # contain the barrier.
@@ -189,6 +202,14 @@ class _InteriorPointSolve:
             self._filter.clear()
             known.clear()
         return ""
+
+    def _note_nearest(self, errors: BarrierErrors) -> None:
+        """Keep the feasible point of least residual at the last barrier; errors: at the present point."""
+        if self._barrier > self._last or errors.infeasibility > SHARED_INFEASIBILITY_TOLERANCE:
+            return
+        residual = errors.residual(0.0)
+        if self._nearest is None or residual < self._nearest[0]:
+            self._nearest = residual, self.point
 
     def _update_local_parameters(self) -> bool:
         """Update the local parameters at the point; return True if they changed enough that the solve has to
@@ -203,6 +224,8 @@ class _InteriorPointSolve:
         self._about = self._rows.expand(point)
         self._filter.clear()
         self._objectives.clear()
+        # Points before the update solve another problem.
+        self._nearest = None
         return True
 
     def advance(self) -> str:
