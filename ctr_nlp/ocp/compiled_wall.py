@@ -165,7 +165,7 @@ class CompiledWall:
         self._points, self._made = _compile_sample_points(model.program_model, robot.structure, samples)
         unknowns = self._points.numel_in(0)
         self._loaded = 0 if model.applied_load is None else self._points.numel_in(3)
-        rows = d * WALL_SAMPLES_PER_TUBE
+        rows = d * WALL_SAMPLES_PER_TUBE * subsamples
         self._tables = _WallTables(geometry)
         given = (
             _arc_length_coefficients(d, WALL_SAMPLES_PER_TUBE * subsamples, samples),
@@ -228,9 +228,9 @@ class CompiledWall:
     def __call__(self, x: Array, numbers: Array | None = None, loads: Array | None = None) -> tuple[Array, Array]:
         """Return the wall's numbers near x (T, n), and the slacks (T,) needed, mm.
 
-        The first are (T, d WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT). numbers (d, 8): of the tubes, where they are
-        not the robot's. loads (T, 17 + 3d): on models with loads. Raises ValueError for other unknowns or loads
-        than the model's.
+        The first are (T, rows, WALL_COLUMN_COUNT), as of Wall.compute_local_wall. numbers (d, 8): of the tubes,
+        where they are not the robot's. loads (T, 17 + 3d): on models with loads. Raises ValueError for other
+        unknowns or loads than the model's.
         """
         loads = np.zeros((len(x), 0)) if loads is None else np.ascontiguousarray(loads, dtype=float)
         if loads.shape != (len(x), self._loaded):
@@ -245,7 +245,7 @@ class CompiledWall:
             self._wall.forget_points()
         given = ctypes.c_long(len(x)), x.ctypes, loads.ctypes, found.ctypes
         self._library.around_all(ctypes.byref(self._wall), *given)
-        # C writes column after column of (d WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT), as programs pack
+        # C writes column after column of (rows, WALL_COLUMN_COUNT), as programs pack
         # parameters.
         return found[:, :-1].reshape(len(x), WALL_COLUMN_COUNT, self._rows).transpose(0, 2, 1), found[:, -1].copy()
 

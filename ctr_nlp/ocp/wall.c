@@ -351,43 +351,56 @@ static void write_row(const Near *near, double room, long rows, double *to) {
     to[13 * rows] = near->slope;
 }
 
-/* What describes the wall around unknowns x under a load, (places, COLUMNS) by columns, and then the slack needed, mm.
-   Where robots bear none, it is not looked at. */
+/* Rows of what describes the wall, one a subsample. */
+static long all_rows(const Wall *w) { return w->finer * w->tubes * w->places; }
+
+/* The subsample number k, among all lanes. */
+static void point_at(const Wall *w, long k, double *p) {
+    const double *at = w->at + k / w->samples * 3 * w->samples + k % w->samples;
+    for (int i = 0; i < 3; ++i) p[i] = at[i * w->samples];
+}
+
+/* Write the row of the wall at the subsample number k of a tube, moved along with it to `to`; the clearance there. */
+static double write_wall(const Wall *w, long tube, long k, const double *to, Seen *seen, double *row) {
+    double p[3];
+    Near near;
+    point_at(w, k, p);
+    look(w, p, seen, &near);
+    /* Programs take away the slope times the distance from the path: so much room is on it. */
+    double room = near.radius + (near.slope - 1) * near.distance - w->outer[tube] - w->clearance;
+    for (int i = 0; i < 3; ++i) near.centre[i] += to[i] - p[i];
+    write_row(&near, room, all_rows(w), row);
+    return room - near.slope * sqrt(near.distance * near.distance + w->centred * w->centred);
+}
+
+/* What describes the wall around unknowns x under a load, (subsamples, COLUMNS) by columns, and then the slack
+   needed, mm. The first subsample of every sample point comes first, then the second of every one. Where robots bear
+   none, a load is not looked at. */
 void around(Wall *w, const double *x, const double *load, double *found) {
-    long rows = w->tubes * w->places, size = w->unknowns * sizeof *x, more = w->loaded * sizeof *load;
+    long rows = w->tubes * w->places, all = all_rows(w), size = w->unknowns * sizeof *x, more = w->loaded * sizeof *load;
     if (!w->known || memcmp(w->kept_x, x, size) || memcmp(w->kept_load, load, more)) {
         double least = INFINITY;
         Seen seen = {.beyond = -1};
         memcpy(w->kept_x, x, size), memcpy(w->kept_load, load, more);
         sample(w, x, load);
         for (long row = 0; row < rows; ++row) {
-            double narrow = INFINITY, left = 0, room = 0;
-            Near near;
-            for (long k = row * w->finer; k < (row + 1) * w->finer; ++k) {
-                const double *at = w->at + k / w->samples * 3 * w->samples + k % w->samples;
-                double p[] = {at[0], at[w->samples], at[2 * w->samples]};
-                if (k < (row + 1) * w->finer - 1) {
-                    long which; /* between two places only the room counts */
-                    left = left_at(w, p, &seen, &near, &which) - w->outer[row / w->places] - w->clearance;
-                } else {
-                    look(w, p, &seen, &near);
-                    /* Programs take away the slope times the distance from the path: so much room is on it. */
-                    room = near.radius + (near.slope - 1) * near.distance - w->outer[row / w->places] - w->clearance;
-                    left = room - near.slope * sqrt(near.distance * near.distance + w->centred * w->centred);
-                }
-                narrow = left < narrow || left != left ? left : narrow;
+            /* The subsamples around it, or at a tip those before it. */
+            long own = (row + 1) * w->finer - 1, first = own - ((row + 1) % w->places ? w->finer / 2 : w->finer - 1);
+            double p[3];
+            point_at(w, own, p);
+            for (long k = 0; k < w->finer; ++k) {
+                double left = write_wall(w, row / w->places, first + k, p, &seen, w->kept + k * rows + row);
+                least = left < least || left != left ? left : least;
             }
-            least = narrow < least || narrow != narrow ? narrow : least;
-            write_row(&near, room - (left - narrow), rows, w->kept + row);
         }
-        w->kept[rows * COLUMNS] = most(-least, 0), w->known = 1;
+        w->kept[all * COLUMNS] = most(-least, 0), w->known = 1;
     }
-    memcpy(found, w->kept, (rows * COLUMNS + 1) * sizeof *found);
+    memcpy(found, w->kept, (all * COLUMNS + 1) * sizeof *found);
 }
 
 /* The same for so many frames, a row each. */
 void around_all(Wall *w, long frames, const double *x, const double *loads, double *found) {
-    long size = w->tubes * w->places * COLUMNS + 1;
+    long size = all_rows(w) * COLUMNS + 1;
     for (long j = 0; j < frames; ++j) around(w, x + j * w->unknowns, loads + j * w->loaded, found + j * size);
 }
 

@@ -1,8 +1,8 @@
 """A lumen's wall as programs see it: at sample points along the robot, linearised near its configuration.
 
 The visible part of every tube has terms.lumen.WALL_SAMPLES_PER_TUBE sample points, each with the lumen's path
-nearby to second order and the wall's radius to first order. Where there is less room between two sample points,
-the room at the second is reduced to it. This is valid near a configuration only: the wall is linearised again at a
+nearby to second order and the wall's radius to first order. So have subsamples beside each, which are taken to
+move as the sample point does. This is valid near a configuration only: the wall is linearised again at a
 solution, and the program solved again, until nothing changes. Clearance is r(p) - |C - p| - rho in mm, with the
 radius r at the path's nearest point p and the outer radius rho of the outermost tube (docs/method.md, "The lumen's
 wall").
@@ -24,18 +24,23 @@ from ctr_nlp.models import Model
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.ocp.compiled_wall import CompiledWall
 from ctr_nlp.ocp.settings import Settings
-from ctr_nlp.ocp.terms.lumen import CENTRELINE_SMOOTHING_MM, WALL_SAMPLES_PER_TUBE, arc_lengths, contact_penalty
+from ctr_nlp.ocp.terms.lumen import (
+    CENTRELINE_SMOOTHING_MM,
+    WALL_COLUMN_COUNT,
+    WALL_SAMPLES_PER_TUBE,
+    WALL_SUBSAMPLES,
+    arc_lengths,
+    contact_penalty,
+)
 from ctr_nlp.paths.lumen import tube_outer_radii
 from ctr_nlp.paths.target import Frame
 from ctr_nlp.paths.walls import WallGeometry
 from ctr_nlp.robot import Robot
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
-WALL_SUBSAMPLES = 5
-"""Number of subsamples for each sample point, from the one before up to this one."""
 MAX_WALL_RELINEARISATIONS = 12
 """Most times that a program is solved around its own solution."""
-WALL_SLACK_TOLERANCE_MM = 0.01
+WALL_SLACK_TOLERANCE_MM = 0.005
 """Difference in mm up to which the slack of a solution agrees with the slack needed there."""
 PLANNED_CONTACT_FRACTION = 0.6
 """Fraction of the allowed contact beyond which it costs more in planning: penalties yield a little, and programs
@@ -151,32 +156,45 @@ class Wall:
     ) -> tuple[Array, Array]:
         """Return the wall's numbers near x (T, n), and the slacks (T,) needed, without compiled code.
 
-        The first are (T, d WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT). numbers (d, 8), loads (T, 17 + 3d): as in
-        local_parameters.
+        The first are (T, rows, WALL_COLUMN_COUNT): the first subsample of every sample point, then the second of
+        every one. numbers (d, 8), loads (T, 17 + 3d): as in local_parameters.
         """
         beta = columns_of(self.model.extensions(self.robot, x))
         # Arc lengths over beta_d; a robot that is not out at all has samples at 0.
         sigma = np.hstack(arc_lengths(beta, WALL_SAMPLES_PER_TUBE * self.subsamples)) / np.maximum(
             beta[-1], WALL_MIN_DENOMINATOR
         )
-        near = self.geometry.project(self._points(x, sigma, numbers, loads))
+        points = self._points(x, sigma, numbers, loads)
+        near = self.geometry.project(points)
         outer = np.repeat(tube_outer_radii(self.robot), WALL_SAMPLES_PER_TUBE * self.subsamples)
         room = near.room_on_path - outer - self.clearance
-        # At sample points the same rounded distance as in the program (terms.lumen.room_beside_path), so that both
-        # agree on the slack; between them the distance itself, for which C needs no derivatives of the wall.
-        left = room - near.slope * near.distance
-        at_samples = np.s_[..., self.subsamples - 1 :: self.subsamples]
-        rounded = np.hypot(near.distance[at_samples], CENTRELINE_SMOOTHING_MM)
-        left[at_samples] = room[at_samples] - near.slope[at_samples] * rounded
-        # The room at a sample point is reduced to the least between the one before and it: contact in between is
-        # not missed.
-        room -= left - np.repeat(left.reshape(len(x), -1, self.subsamples).min(axis=-1), self.subsamples, axis=-1)
+        # The same rounded distance as in the program (terms.lumen.room_beside_path), so that both agree on the
+        # slack.
+        left = room - near.slope * np.hypot(near.distance, CENTRELINE_SMOOTHING_MM)
         # What the program sees of a wall: the path to second order, the radius to first.
         numbers = np.stack([room, near.taper, near.length_before, near.length_after, near.slope], axis=-1)
         # In the order of terms.lumen.WALL_COLUMN_COUNT: three vectors, then five numbers.
         wall = np.concatenate([near.centre, near.tangent, near.bend, numbers], axis=-1)
-        # The last subsample of each sample point is the point itself.
-        return wall[:, self.subsamples - 1 :: self.subsamples], np.maximum(-left.min(axis=1), 0.0)
+        slack = np.maximum(-left.min(axis=1), 0.0)
+        # Programs know how a sample point moves, and not the places beside it: these are taken to move as the
+        # point does, and their walls to stand beside it.
+        at_samples, beside = self._subsamples
+        found = wall[:, beside]
+        found[..., :3] += points[:, at_samples] - points[:, beside]
+        return found.reshape(len(x), -1, WALL_COLUMN_COUNT), slack
+
+    @cached_property
+    def _subsamples(self) -> tuple[Index, Index]:
+        """Positions of the sample points among all places, (1, samples), and of their subsamples, (subsamples,
+        samples).
+
+        Subsamples are those around a sample point, or at a tube's tip those before it.
+        """
+        samples = np.arange(self.robot.d * WALL_SAMPLES_PER_TUBE)
+        at_samples = (samples + 1) * self.subsamples - 1
+        is_tip = (samples + 1) % WALL_SAMPLES_PER_TUBE == 0
+        first = at_samples - np.where(is_tip, self.subsamples - 1, self.subsamples // 2)
+        return at_samples[None], first + np.arange(self.subsamples)[:, None]
 
     def _points(self, x: Array, sigma: Array, numbers: Array | None, loads: Array | None) -> Array:
         """Return points (T, m, 3) in mm of the robot at x and sigma (T, m)."""

@@ -27,6 +27,7 @@ from ctr_nlp.solvers import (
     Watch,
     default_chain_solver,
 )
+from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
 from ctr_nlp.solvers.motion.chain_solution import (
     COLD_START_BARRIER_MM2,
     LOCAL_START_BARRIER_MM2,
@@ -43,8 +44,31 @@ SAME_SOLUTION_RELATIVE_TOLERANCE = 1e-6
 MAX_SLACK_RATIO_IN_TWO_ROUNDS = 0.9
 """Where a chain is a linearisation, errors of the slacks that two rounds reduce by less than this factor alternate
 between two points of the wall, and further rounds do not help."""
+SETTLED_WALL_MM = 0.02
+"""Error of the slacks from which on a linearised wall hardly changes, and solves are exact."""
+BARRIER_PER_WALL_ERROR_MM = 0.1
+"""First barrier of a further round, mm^2, for each mm of the slacks' error in the one before."""
 CONSTRAINTS_IN_MM = "order", "carriage gap", "clearance"
 """Constraints in mm."""
+
+
+class Effort(NamedTuple):
+    """How well a chain is to be solved.
+
+    tolerance: largest KKT residual, mm^2 per unit of the unknowns; None for the solver's own. iterations: after
+    which the solve ends, and is not tried again from its best iterate; None for the solver's own.
+    """
+
+    tolerance: float | None = None
+    iterations: int | None = None
+
+
+FULL, BRIEF = Effort(), Effort(iterations=150)
+"""Efforts for a solution, from anywhere and from near it: some searches then go to and fro across a corner of the
+objective, and the point that they started from is as good.
+"""
+ROUGH = Effort(KKT_TOLERANCE / 2, 150)
+"""Effort near a wall that will be linearised again."""
 
 
 @dataclass(frozen=True)
@@ -187,28 +211,25 @@ def solve_from_motion(
     report: IterateCallback | None,
     stop: Callable[[], bool],
     barrier: float = COLD_START_BARRIER_MM2,
+    roughly: bool = False,
 ) -> SolvedStart:
     """Solve a chain from a motion (T, n - slacks), as :meth:`Chain.linearise_at` takes it.
 
     solver: builds a solver for a chain. report: called with every iterate. stop: returns whether to end. barrier:
     the first barrier parameter, mm^2. A chain that is a linearisation, as at a wall, is solved again around its
-    solution until the slacks agree with the wall there. The result is never worse than the start.
+    solution until the slacks agree with the wall there: roughly, but for the last rounds; in all of them where
+    `roughly` is asked for. The result is never worse than the start.
     """
     begin = time.perf_counter()
     tried = list[SolvedStart]()
     missing = list[float]()
     near, x0 = chain.linearise_at(motion)
-    while (
-        len(tried) < MAX_WALL_RELINEARISATIONS
-        and not wall_rounds_done(missing)
-        and not (tried and (stop() or not tried[-1].solution.success))
-    ):
-        # From the second round on the active limits are known: multipliers are passed on, and the barrier starts
-        # small, so that the solver stays near the solution that it has.
-        known = np.concatenate([tried[-1].solution.lam_x, tried[-1].solution.lam_g]) if tried else None
-        one = _solve_chain(
-            near, solver(near), x0, LOCAL_START_BARRIER_MM2 if tried else barrier, report, stop, known
-        )
+    known: Array | None = None
+    exact = chain.local_parameters is None
+    for rounds_left in reversed(range(MAX_WALL_RELINEARISATIONS)):
+        near_solution = bool(tried) and tried[-1].solution.success
+        effort = ROUGH if not exact else BRIEF if near_solution else FULL
+        one = _solve_chain(near, solver(near), x0, barrier, report, stop, known, effort)
         near, x0 = chain.linearise_at(one.motion)
         # linearise_at keeps the robot's unknowns and recomputes only the slacks: the difference to the solution's
         # x is the error of the linearised wall, mm.
@@ -216,6 +237,17 @@ def solve_from_motion(
         # The objective is that of the wall at the solution, not of the linearisation that it was found with.
         objective = near.evaluate(x0)[0] if missing[-1] > 0 else one.solution.objective
         tried.append(replace(one, solution=replace(one.solution, objective=objective)))
+        done = wall_rounds_done(missing)
+        if stop() or (exact and not one.solution.success) or (done and (exact or roughly)):
+            break
+        # As long as the wall still changes, exact solutions would be lost work.
+        exact = exact or (not roughly and (done or missing[-1] <= SETTLED_WALL_MM or rounds_left == 1))
+        # From the second round on the active limits are known: multipliers are passed on, and the barrier is the
+        # smaller the less the wall has changed, so that the solver stays near the solution that it has.
+        known = np.concatenate([one.solution.lam_x, one.solution.lam_g])
+        barrier = float(
+            np.clip(BARRIER_PER_WALL_ERROR_MM * missing[-1], LOCAL_START_BARRIER_MM2, COLD_START_BARRIER_MM2)
+        )
     best = best_solved_start(tried)
     iterations = sum(one.solution.iterations for one in tried)
     return replace(
@@ -249,20 +281,21 @@ def _solve_chain(
     report: IterateCallback | None,
     stop: Callable[[], bool],
     multipliers: Array | None,
+    effort: Effort,
 ) -> SolvedStart:
     """Solve a chain from x0 (T n,) and, where the result is worse than x0, once more from the best iterate.
 
     solve: the chain's solver. barrier: the first barrier parameter, mm^2. report, stop: callbacks. multipliers: of
-    all rows, where those of a neighbouring chain are known.
+    all rows, where those of a neighbouring chain are known. effort: to take.
     """
     x0, objective, violation = project_to_limits(chain, x0)
     # A start that violates limits is no promise: its objective may be lower than that of any feasible motion.
     start = objective if violation <= FEASIBILITY_TOLERANCE else np.inf
-    watch = Watch(report, stop, Iterate(0, objective, violation, np.inf, x0))
-    solution = _select_best_point(chain, solve(x0, watch, barrier, multipliers), watch, start)
+    watch = Watch(report, stop, Iterate(0, objective, violation, np.inf, x0), effort.iterations)
+    solution = _select_best_point(chain, solve(x0, watch, barrier, multipliers, effort.tolerance), watch, start)
     # A solver that failed still passed feasible points. The second solve starts from the best of them with a small
     # barrier, which keeps it in that basin.
-    if not (solution.success or watch.best is None or stop()):
+    if not (solution.success or watch.best is None or stop() or effort.iterations):
         again = _select_best_point(chain, solve(watch.best.x, watch, LOCAL_START_BARRIER_MM2), watch, start)
         solution = replace(again, iterations=solution.iterations + again.iterations)
     feasible = chain.violation(chain.evaluate(solution.x)[1]) <= FEASIBILITY_TOLERANCE

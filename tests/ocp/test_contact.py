@@ -36,9 +36,10 @@ from ctr_nlp.ocp.terms.lumen import (
     WALL_COLUMN_COUNT,
     WALL_SAMPLES_PER_TUBE,
     WALL_SLOPE_COLUMN,
+    WALL_SUBSAMPLES,
     no_wall_parameters,
 )
-from ctr_nlp.ocp.wall import WALL_SLACK_TOLERANCE_MM, WALL_SUBSAMPLES, Wall
+from ctr_nlp.ocp.wall import WALL_SLACK_TOLERANCE_MM, Wall
 from ctr_nlp.paths.lumen import Lumen
 from ctr_nlp.paths.target import SIGMA_GRID
 from ctr_nlp.plan import simulation
@@ -52,6 +53,11 @@ WALLED = Settings(contact_allowed=100.0)
 """Contact costs the same a mm however deep it is."""
 
 
+SAMPLES = np.arange(WALL_SUBSAMPLES - 1, WALL_SUBSAMPLES * 3 * WALL_SAMPLES_PER_TUBE, WALL_SUBSAMPLES)
+"""Sample points among all places along the robot."""
+SUBSAMPLES = SAMPLES + np.array([[-1], [0], [1]])
+"""Places beside them, (WALL_SUBSAMPLES, sample points)."""
+SUBSAMPLES[:, WALL_SAMPLES_PER_TUBE - 1 :: WALL_SAMPLES_PER_TUBE] -= 1  # at tips, where nothing follows
 LENGTH_AHEAD = WALL_SLOPE_COLUMN - 1
 """Column of how far the path continues ahead; the one before it is that behind."""
 
@@ -77,9 +83,8 @@ def rooms(curve, model, x, count):
     points = SHAPES[model](ROBOT, x[None], places(x, count).ravel()[None] / x[5])[0]
     distance, along = brute(curve, points)
     radii = np.array([tube.outer_diameter / 2 for tube in ROBOT.tubes])[:, None]
-    # At every WALL_SUBSAMPLES-th place, a sample point of the program, the distance is rounded as it is there.
-    rounding = np.where(np.arange(1, 3 * count + 1) % WALL_SUBSAMPLES, 0.0, CENTRELINE_SMOOTHING_MM)
-    left = curve.radius(along) - np.hypot(distance, rounding)
+    # Programs round the distance.
+    left = curve.radius(along) - np.hypot(distance, CENTRELINE_SMOOTHING_MM)
     return left.reshape(3, count) - radii
 
 
@@ -98,7 +103,7 @@ class Described:
         self.nlp, self.value = framed(model)
         wall = Wall(ROBOT, Lumen.from_curve(self.curve), KINEMATIC_MODELS[model], 30.0, clearance)
         values, slacks = wall.local_parameters(self.x[None])
-        self.slack, self.away = slacks[0], no_wall_parameters(ROBOT.d)
+        self.slack, self.away = slacks[0], no_wall_parameters(ROBOT.d, WALL_SUBSAMPLES)
         self.values = {name: value[0] for name, value in values.items()}
         self.target = {
             "tubes": ROBOT.numbers,
@@ -107,9 +112,10 @@ class Described:
         }
 
     def rows(self, x, slack=0.0, values=None):
-        """Those of the clearance, (d WALL_SAMPLES_PER_TUBE,) mm."""
+        """Those of the clearance, (WALL_SUBSAMPLES, d WALL_SAMPLES_PER_TUBE) mm."""
         p = self.nlp.pack(self.target | (values or self.values))
-        return self.value(np.append(x, slack), p)[1].full().ravel()[-3 * WALL_SAMPLES_PER_TUBE :]
+        found = self.value(np.append(x, slack), p)[1].full().ravel()
+        return found[-WALL_SUBSAMPLES * 3 * WALL_SAMPLES_PER_TUBE :].reshape(WALL_SUBSAMPLES, -1)
 
     def cost(self, slack):
         p = self.nlp.pack(self.target | self.values)
@@ -118,16 +124,13 @@ class Described:
 
 @EVERY_MODEL
 @pytest.mark.parametrize("seed", range(6))
-def test_rows_are_the_least_room_up_to_every_place(model, seed):
+def test_rows_are_the_room_at_and_beside_every_sample_point(model, seed):
     """A lumen of 40 mm: some robots are longer, and their tips beyond its end."""
     frame = Described(model, seed)
-    least = (
-        rooms(frame.curve, model, frame.x, WALL_SUBSAMPLES * WALL_SAMPLES_PER_TUBE)
-        .reshape(3, WALL_SAMPLES_PER_TUBE, WALL_SUBSAMPLES)
-        .min(axis=-1)
-    )
-    np.testing.assert_allclose(frame.rows(frame.x), least.ravel() - 0.05, atol=1e-3)
-    np.testing.assert_allclose(frame.rows(frame.x, 0.7), least.ravel() - 0.05 + 0.7, atol=1e-3)
+    room = rooms(frame.curve, model, frame.x, WALL_SUBSAMPLES * WALL_SAMPLES_PER_TUBE)
+    room = room.ravel()[SUBSAMPLES]
+    np.testing.assert_allclose(frame.rows(frame.x), room - 0.05, atol=1e-3)
+    np.testing.assert_allclose(frame.rows(frame.x, 0.7), room - 0.05 + 0.7, atol=1e-3)
 
 
 def test_places_beyond_the_lumens_end_are_among_those_looked_at():
@@ -138,21 +141,29 @@ def test_places_beyond_the_lumens_end_are_among_those_looked_at():
 @EVERY_MODEL
 @pytest.mark.parametrize("seed", range(6))
 def test_rows_change_with_the_configuration_as_the_room_does(model, seed):
-    """Finite differences of both, the wall being that around x; where no place is just at the lumen's end."""
+    """Finite differences of both, the wall being that around x; where no place is just at the lumen's end.
+
+    Places beside a sample point are taken to move as it does.
+    """
     frame = Described(model, seed)
-    found = central(frame.rows, frame.x, 1e-5)
+    found = central(lambda x: frame.rows(x).ravel(), frame.x, 1e-5)
     lumen = Lumen.from_curve(frame.curve)
 
+    def points(x):
+        """Points (3 d WALL_SAMPLES_PER_TUBE, 3) of all places, mm."""
+        sigma = places(x, WALL_SUBSAMPLES * WALL_SAMPLES_PER_TUBE).ravel()[None] / x[5]
+        return SHAPES[model](ROBOT, x[None], sigma)[0]
+
+    around = points(frame.x)
+
     def room(x):
-        near = lumen.project(
-            SHAPES[model](ROBOT, x[None], places(x, WALL_SAMPLES_PER_TUBE).ravel()[None] / x[5])[0]
-        )
-        return near.radius - np.hypot(near.distance, CENTRELINE_SMOOTHING_MM)
+        near = lumen.project(around[SUBSAMPLES] + points(x)[SAMPLES] - around[SAMPLES])
+        return (near.radius - np.hypot(near.distance, CENTRELINE_SMOOTHING_MM)).ravel()
 
     at = frame.values["wall"]
     lengths = at[:, LENGTH_AHEAD - 1 : LENGTH_AHEAD + 1]
     smooth = ((lengths == 0) | (lengths > 0.01)).all(axis=1)
-    assert smooth.sum() > 3 * WALL_SAMPLES_PER_TUBE - 3
+    assert smooth.sum() > WALL_SUBSAMPLES * (3 * WALL_SAMPLES_PER_TUBE - 3)
     np.testing.assert_allclose(found[smooth], central(room, frame.x, 1e-5)[smooth], atol=1e-3)
 
 
@@ -174,7 +185,7 @@ def test_contact_costs_its_weight_a_millimetre_and_a_little_more():
 @EVERY_MODEL
 def test_a_wall_that_is_away_holds_nothing_back(model):
     frame = Described(model, 0)
-    assert frame.away["wall"].shape == (3 * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT)
+    assert frame.away["wall"].shape == (WALL_SUBSAMPLES * 3 * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT)
     assert frame.rows(100 + frame.x, values=frame.away).min() > 500
     p = frame.nlp.pack(frame.target | frame.away)
     bare, value = framed(model, walled=False)

@@ -14,6 +14,7 @@ from ctr_nlp.ocp.partition import FRAME_FUNCTION_NAMES, partition_program
 from ctr_nlp.ocp.sample_groups import group_samples
 from ctr_nlp.ocp.settings import Settings
 from ctr_nlp.ocp.terms import ShapeDistance, TipPosition
+from ctr_nlp.ocp.terms.lumen import WALL_SUBSAMPLES
 from ctr_nlp.solvers.frame.program import Program
 
 TABLE_I = table_i_robot()
@@ -85,7 +86,7 @@ def test_a_program_in_parts_is_the_program_in_one_piece(case):
 def test_samples_and_places_of_the_wall_are_found():
     """All but samples at the insertion point and the tip, and every tube's own tip: other expressions."""
     groups, shared = group_samples(program(TABLE_I, "dominant", True, ()).expressions)
-    assert [group.rows.shape for group in groups] == [(19, 3), (11, 1), (11, 1), (11, 1)]
+    assert [group.rows.shape for group in groups] == [(19, 3), *[(11, WALL_SUBSAMPLES)] * 3]
     assert len(shared) == 18
     rows = np.concatenate([group.rows.ravel() for group in groups])
     assert len(np.unique(rows)) == len(rows)

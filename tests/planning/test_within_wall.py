@@ -1,5 +1,6 @@
 """Plans within a wall hold the motion that is free of it, and fall back to that where more frames fail."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -20,9 +21,12 @@ from ctr_nlp.models import KINEMATIC_MODELS
 from ctr_nlp.ocp.wall import make_wall
 from ctr_nlp.plan.summary_text import remarks
 from ctr_nlp.planning.horizon import horizon
+from ctr_nlp.planning.horizon.horizon import _rank_by_checks
 from ctr_nlp.planning.motions import motions_within_wall
 from ctr_nlp.planning.nlp_frames import NlpFrames
 from ctr_nlp.planning.starts import search
+from ctr_nlp.solvers.frame.adapter import KKT_TOLERANCE
+from ctr_nlp.solvers.motion.banded import BandedSolver
 
 ROBOT = table_i_robot()
 BOTH = pytest.mark.parametrize("solve", [solve_horizon, solve_per_frame])
@@ -78,8 +82,8 @@ def test_frames_that_are_lost_within_the_wall_lose_the_wall(problem, free, monke
 def test_a_horizon_that_is_not_solved_within_the_wall_loses_the_wall(problem, free, monkeypatch):
     tried = search.solve_from_motion
 
-    def attempt(chain, *others):
-        one = tried(chain, *others)
+    def attempt(chain, *others, **options):
+        one = tried(chain, *others, **options)
         failed = replace(one.solution, success=False)
         return one if chain.local_parameters is None else replace(one, solution=failed)
 
@@ -96,6 +100,31 @@ def _within_arc(radius, frames=6):
     arc = 100 * np.stack([1 - np.cos(angle), 0 * angle, np.sin(angle)], axis=-1)
     lumen = curve_from_points(arc, np.full(len(arc), radius))
     return Problem("arc", ROBOT, growing(lumen, frames), lumen=lumen)
+
+
+def test_a_wall_is_approached_roughly_on_a_draft_and_then_solved_exactly(monkeypatch):
+    problem = _within_arc(3.0, frames=50)
+    solve = BandedSolver.__call__
+    told = list[tuple[int, float, float | None]]()
+
+    def record(self, x0, watch, barrier=0.0, multipliers=None, tolerance=None):
+        chain = self.chain
+        if chain.local_parameters is not None:
+            weight = chain.parameters[chain.frame.parameter_slice("contact_weight")].max()
+            told.append((chain.frames, float(weight), tolerance))
+        return solve(self, x0, watch, barrier, multipliers, tolerance)
+
+    monkeypatch.setattr(BandedSolver, "__call__", record)
+    plan = solve_horizon(problem, model="dominant")
+    assert plan.complete
+    rough = KKT_TOLERANCE / 2
+    assert [key for key, _ in itertools.groupby(told)] == [
+        (25, 3.0, rough),
+        (25, 30.0, rough),
+        (50, 30.0, rough),
+        (50, 30.0, None),
+    ]
+    assert plan.kkt.max() < rough
 
 
 def test_motions_from_the_last_frame_keep_within_the_wall_and_arrive():
@@ -150,6 +179,21 @@ def test_the_motion_that_fails_fewest_checks_is_kept(monkeypatch):
     assert kept.verdicts.solved.word == "yes"
     assert len(calls) >= 2
     assert len(kept.meta["starts"]) > len(good.meta["starts"])
+
+
+def test_of_plans_that_fail_the_nearest_counts_and_not_the_one_that_touches_least():
+    plan = solve_horizon(_within_arc(6.0), model="elastic")
+    wrong = replace(plan, shape=plan.shape + 30.0)
+
+    def touching(depth, plan):
+        return replace(plan, clearance_between=np.full_like(plan.clearance_between, -depth))
+
+    ranks = [_rank_by_checks(each) for each in (plan, touching(0.7, plan), touching(3.0, plan), wrong)]
+    assert ranks == sorted(ranks)
+    # Both fail three checks: the second is 30 mm away everywhere, and only touches less.
+    far, near = touching(0.6, wrong), touching(6.0, replace(plan, shape=plan.shape + 4.0))
+    assert _rank_by_checks(near)[0] == _rank_by_checks(far)[0]
+    assert _rank_by_checks(near) < _rank_by_checks(far)
 
 
 @pytest.mark.parametrize(("depth", "aims"), [(0.6, [0.3, 0.1]), (1.2, [])])

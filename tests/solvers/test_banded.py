@@ -90,6 +90,17 @@ def test_from_the_multipliers_of_a_neighbouring_chain_few_iterations_are_left():
     assert helped.iterations < alone.iterations / 2
 
 
+def test_a_rough_solve_ends_sooner_and_leaves_nothing_to_the_next():
+    to = np.cumsum(np.random.default_rng(5).normal(size=(30, 2)), axis=0)
+    chain = linked(drawn(), to, [link(30, 2, low=-0.3, high=0.3)])
+    solver, x0 = BandedSolver(chain), np.zeros(chain.lower.size)
+    exact, rough, again = (solver(x0, Watch(), tolerance=each) for each in (None, 5e-3, None))
+    assert 1e-6 < rough.kkt <= 5e-3
+    assert rough.iterations < exact.iterations
+    assert exact.kkt <= 2e-6
+    np.testing.assert_array_equal(again.x, exact.x)
+
+
 # Convex chains, whose solutions are known
 
 
@@ -570,6 +581,11 @@ def test_a_watch_keeps_the_first_best_feasible_iterate():
     for number, (objective, violation) in enumerate(given_):
         assert watch(iterate(number, objective, violation)) is False
     assert watch.best.number == 3
+
+
+def test_a_watch_may_end_the_work_after_so_many_iterations():
+    watch = Watch(most=3)
+    assert [watch(iterate(number, 1.0)) for number in (0, 2, 3, 4)] == [False, False, True, True]
 
 
 def test_a_watch_may_know_where_the_work_began():

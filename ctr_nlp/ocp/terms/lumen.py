@@ -27,8 +27,10 @@ from ctr_nlp.typing import Array, Vector
 
 WALL_SAMPLES_PER_TUBE = 12
 """Sample points on every tube's visible part; the last is its tip."""
+WALL_SUBSAMPLES = 3
+"""Places at which the wall is looked at for every sample point: the point itself and others beside it."""
 WALL_COLUMN_COUNT = 14
-"""Numbers that describe the wall at a sample point: centre (3), tangent (3), bend (3), room, taper, behind, ahead
+"""Numbers that describe the wall at a place: centre (3), tangent (3), bend (3), room, taper, behind, ahead
 and slope.
 """
 WALL_ROOM_COLUMN, WALL_SLOPE_COLUMN = 9, 13
@@ -68,15 +70,21 @@ def room_beside_path(points: Vector, path: Sequence[Vector], wall: Sequence[ca.S
 
 
 def room_at_samples(body: Body, wall: ca.SX) -> tuple[Inner, ca.SX]:
-    """Return the points of body, (n, 3) as inner symbols, and the room there in mm, (n, 1), written in these.
+    """Return the points of body, (n, 3) as inner symbols, and the room there in mm, written in these.
 
-    wall: parameters that describe it, a row a sample point.
+    wall: parameters that describe it, a row a subsample: the first of every sample point, then the second of every
+    one. Programs know how a sample point moves, and the places beside it are taken to move as it does. The room
+    has as many rows.
     """
     # As a layer of their own: the wall's second derivatives are taken over three coordinates a sample point, not
     # over x.
     points = Inner.of([ca.SX(ca.horzcat(*body.points))])
-    at, *path = (columns_of(each) for each in (points.symbols[0], wall[:, :3], wall[:, 3:6], wall[:, 6:9]))
-    return points, room_beside_path(at, path, ca.horzsplit(wall[:, WALL_ROOM_COLUMN:]))
+    at = columns_of(points.symbols[0])
+    rooms = list[ca.SX]()
+    for rows in ca.vertsplit(wall, at[0].numel()):
+        path = [columns_of(each) for each in (rows[:, :3], rows[:, 3:6], rows[:, 6:9])]
+        rooms.append(room_beside_path(at, path, ca.horzsplit(rows[:, WALL_ROOM_COLUMN:])))
+    return points, ca.vertcat(*rooms)
 
 
 def contact_penalty(slack: Any, weight: Any, allowed: Any) -> Any:
@@ -114,18 +122,21 @@ def arc_lengths(beta: Sequence[Any], count: int = WALL_SAMPLES_PER_TUBE) -> list
     return [start + fractions * (end - start) for start, end in zip(starts, beta, strict=True)]
 
 
-def wall_parameters(d: int) -> dict[str, tuple[int, int]]:
-    """Return the shapes of the parameters that describe the wall near a robot of d tubes, by name."""
+def wall_parameters(d: int, subsamples: int) -> dict[str, tuple[int, int]]:
+    """Return the shapes of the parameters that describe the wall near a robot of d tubes, by name.
+
+    subsamples: for each sample point.
+    """
     return {
-        "wall": (d * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT),
+        "wall": (subsamples * d * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT),
         "contact_weight": (1, 1),
         "contact_allowed": (1, 1),
     }
 
 
-def no_wall_parameters(d: int) -> dict[str, Any]:
-    """Return the parameters of a frame of d tubes with no wall nearby."""
-    wall = np.zeros((d * WALL_SAMPLES_PER_TUBE, WALL_COLUMN_COUNT))
+def no_wall_parameters(d: int, subsamples: int) -> dict[str, Any]:
+    """Return the parameters of a frame of d tubes with no wall nearby; subsamples: for each sample point."""
+    wall = np.zeros(wall_parameters(d, subsamples)["wall"])
     # Zero vectors and much room: rows that are always satisfied, and a weight of 0.
     wall[:, WALL_ROOM_COLUMN] = NO_WALL_ROOM_MM
     wall[:, WALL_SLOPE_COLUMN] = 1.0
@@ -147,21 +158,21 @@ class LumenClearance(Term):
         return ca.vertcat(*arc_lengths(beta))
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """Return the shapes of wall, a row a sample point.
+        """Return the shapes of wall, a row a subsample.
 
         Those of contact_weight, mm^2 a mm, and contact_allowed, mm. structure: not used.
         """
-        return wall_parameters(self.d)
+        return wall_parameters(self.d, WALL_SUBSAMPLES)
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """Return one smooth constraint a sample point of body, and one slack for all.
+        """Return WALL_SUBSAMPLES smooth constraints a sample point of body, and one slack for all.
 
         parameters: symbols by name.
         """
         slack = ca.SX.sym("slack")
         points, room = room_at_samples(body, parameters["wall"])
-        # room + slack >= 0 at every sample point: the slack is the deepest contact, and its cost counts once a
-        # frame.
+        # room + slack >= 0 at and beside every sample point: the slack is the deepest contact, and its cost counts
+        # once a frame.
         bounds = np.zeros(room.numel()), np.full(room.numel(), np.inf)
         return Parts(
             costs=(
@@ -176,4 +187,4 @@ class LumenClearance(Term):
 
     def fill(self, frame: Frame) -> Mapping[str, Array]:
         """Return the parameters of a frame without a wall nearby, the same for every frame."""
-        return no_wall_parameters(self.d)
+        return no_wall_parameters(self.d, WALL_SUBSAMPLES)

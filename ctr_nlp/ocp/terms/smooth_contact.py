@@ -52,7 +52,7 @@ class SmoothContact(Term):
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
         """Return the shapes of the parameters, by name: those of LumenClearance. structure: not used."""
-        return wall_parameters(self.d)
+        return wall_parameters(self.d, 1)
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """Return one cost on body; parameters: symbols by name.
@@ -69,4 +69,4 @@ class SmoothContact(Term):
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
         """Return the parameters of a frame without a wall nearby, the same for every frame."""
-        return no_wall_parameters(self.d)
+        return no_wall_parameters(self.d, 1)

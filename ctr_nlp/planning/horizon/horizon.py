@@ -9,6 +9,7 @@ start costs a tenth of its shape errors.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -67,6 +68,14 @@ MAX_LESS_CONTACT_ROUNDS = 2
 """Largest number of times that a motion which presses a little too deep is solved again with less contact."""
 MAX_SMALL_EXCESS_MM = 0.5
 """Depth beyond the allowed contact, mm, up to which that is worth trying."""
+LIMITS_OF_VERDICTS = {
+    "arrives": "arrival_tolerance",
+    "follows": "error_allowed",
+    "within_wall": "contact_allowed",
+}
+"""Verdicts whose number is a distance, mm, and the options that limit it."""
+LEAST_LIMIT_MM = 0.1
+"""A limit counts as this much at least where distances are measured in multiples of it."""
 CONTACT_RESERVE = 2.0
 """How many times that depth is taken off the contact that planning allows: penalties yield."""
 
@@ -223,14 +232,9 @@ class Horizon:
 
     @staticmethod
     def _solve_with_growing_wall(wall: Wall, search: Search, motions: Sequence[Array]) -> Sequence[SolvedStart]:
-        """Solve motions (T, n) within a wall, at a part of its weight first; return the results."""
-        within: Sequence[SolvedStart] = ()
-        for part in WALL_PARTS:
-            within = search.solve_from_motions(motions, replace(wall, weight=part * wall.weight))
-            # Each weight starts from the solutions of the one before; where there is none, from the same motions
-            # again.
-            motions = [one.motion for one in within if one.solution.success] or motions
-        return within
+        """Solve motions (T, n) within a wall, roughly and at a part of its weight first; return the results."""
+        growing = [replace(wall, weight=part * wall.weight) for part in WALL_PARTS]
+        return search.solve_from_motions([search.approach_walls(motion, growing) for motion in motions], wall)
 
     def _best_from_last_frame(
         self, wall: Wall, search: Search, plan: Plan, attempts: Sequence[SolvedStart]
@@ -367,10 +371,18 @@ class Horizon:
 
 
 def _rank_by_checks(plan: Plan) -> tuple[int, float, float]:
-    """Return how a plan ranks: by failed checks, then by contact in mm where that fails, then by its objective."""
-    wall = plan.verdicts.within_wall
-    contact = 0.0 if wall.word != NO or wall.number is None else wall.number
-    return _count_failed_checks(plan), contact, float(plan.objective.mean())
+    """Return how a plan ranks: by failed checks, then by how far it misses these, then by its objective.
+
+    The distances of tip, shape and contact are added up, as multiples of what is allowed. With contact alone, a
+    motion would win that keeps off the wall because it goes elsewhere.
+    """
+    missed = 0.0
+    for name, option in LIMITS_OF_VERDICTS.items():
+        verdict = getattr(plan.verdicts, name)
+        if verdict.word == NO:
+            far = math.inf if verdict.number is None else verdict.number
+            missed += far / max(float(plan.options[option]), LEAST_LIMIT_MM)
+    return _count_failed_checks(plan), missed, float(plan.objective.mean())
 
 
 def _find_contact_excess(plan: Plan, allowed: float) -> float:

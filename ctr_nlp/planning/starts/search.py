@@ -35,7 +35,11 @@ from ctr_nlp.planning.stability_refinement import select_realisable_starts
 from ctr_nlp.planning.starts.processes import Task, solve_starts_in_processes
 from ctr_nlp.solvers import CHAIN_SOLVERS, ChainSolver
 from ctr_nlp.solvers.compiled_functions import fastest_functions
-from ctr_nlp.solvers.motion.chain_solution import COLD_START_BARRIER_MM2, WARM_START_BARRIER_MM2
+from ctr_nlp.solvers.motion.chain_solution import (
+    COLD_START_BARRIER_MM2,
+    WALL_START_BARRIER_MM2,
+    WARM_START_BARRIER_MM2,
+)
 from ctr_nlp.typing import Array, Index
 
 MOTION_SHARE = 0.1
@@ -133,6 +137,24 @@ class Search:
             found.append(self._solve_from_motion(chain, motion, number, count))
         return self._keep_realisable(chain, found)
 
+    def approach_walls(self, motion: Array, walls: Sequence[Wall]) -> Array:
+        """Return a motion (T, n) moved to where walls let it be, one after the other, on a draft and roughly.
+
+        From a motion deep in a wall many steps lead out of it. With a quarter of the frames they take a quarter of
+        the time, and the motion of all frames is then near its solution.
+        """
+        picked = pick_draft_frames(self.problem.frames)
+        draft = motion[picked]
+        for wall in walls:
+            chain = self._draft_chain(picked, wall)
+            one = solve_from_motion(
+                chain, self._build_solver, draft, None, self.stop, WALL_START_BARRIER_MM2, roughly=True
+            )
+            # Each wall starts from the solution of the one before; where there is none, from the same motion
+            # again.
+            draft = one.motion if one.solution.success else draft
+        return interpolate_frames(draft, picked, self.problem.frames)
+
     def solve_most_promising(self, motions: Sequence[Array]) -> list[SolvedStart]:
         """Solve from the most promising motions (T, n), given best first.
 
@@ -195,13 +217,13 @@ class Search:
             picked = finer
         return interpolate_frames(motion, picked, frames)
 
-    def _draft_chain(self, picked: Index) -> Chain:
-        """Build the chain of picked frames, evenly spaced, without a wall."""
+    def _draft_chain(self, picked: Index, wall: Wall | None = None) -> Chain:
+        """Build the chain of picked frames, evenly spaced, within a wall or without one."""
         # With the time between picked frames as dt, limits of speed mean what they do over all frames.
         frames = [self.problem.target_frames[k] for k in picked]
         dt = self.problem.dt * int(picked[-1] - picked[-2])
         at = self.problem.robot, frames, dt, self.weight, self.ends, self.simulator.model
-        return horizon(*at, fastest_functions, self.settings.stability_margin, extra=self.terms)
+        return horizon(*at, fastest_functions, self.settings.stability_margin, wall, self.terms)
 
     def _drafts(self, motions: Sequence[Array], picked: Index) -> list[SolvedStart]:
         """Solve the most promising motions on picked frames; return distinct solutions, best first."""

@@ -39,8 +39,8 @@ BANDED_LAST_BARRIER_MM2 = 1e-7
 """Barrier at which the method ends, mm^2."""
 MAX_BANDED_ITERATIONS = 500
 """Iterations after which a solve ends without a solution."""
-BANDED_SLACK_PUSH = 1e-3
-"""How far slacks start within their bounds, rad or mm."""
+BANDED_LEAST_SLACK_PUSH, BANDED_SLACK_PUSH_PER_MM2 = 1e-3, 0.1
+"""How far slacks start within their bounds, rad or mm: at least, and for each mm^2 of the first barrier."""
 BANDED_FIRST_DAMPING = 1e-6
 """Added to the diagonal of the Newton matrix, mm^2 per squared unit of x; more where rounding calls for it."""
 MAX_BANDED_DAMPING = 1e6
@@ -83,14 +83,25 @@ class BandedSolver:
         self._loop = Loop(chain, _real_settings(), _integer_settings())
 
     def __call__(
-        self, x0: Array, watch: Watch, barrier: float = COLD_START_BARRIER_MM2, multipliers: Array | None = None
+        self,
+        x0: Array,
+        watch: Watch,
+        barrier: float = COLD_START_BARRIER_MM2,
+        multipliers: Array | None = None,
+        tolerance: float | None = None,
     ) -> Solution:
-        """Solve from x0 (T n,), and from multipliers of all rows where a neighbouring chain's are known."""
+        """Solve from x0 (T n,), and from multipliers of all rows where a neighbouring chain's are known.
+
+        tolerance: largest stationarity (mm^2 per unit of x) and complementarity (mm^2) at a solution; None for
+        BANDED_KKT_TOLERANCE.
+        """
         loop = self._loop
         low = self.chain.lower.ravel()
         high = self.chain.upper.ravel()
         # Fixed unknowns take their values here, as they never move.
-        loop.start(np.clip(x0, low, high), barrier, BANDED_SLACK_PUSH, multipliers)
+        push = max(BANDED_LEAST_SLACK_PUSH, BANDED_SLACK_PUSH_PER_MM2 * barrier)
+        enough = BANDED_KKT_TOLERANCE if tolerance is None else tolerance
+        loop.start(np.clip(x0, low, high), barrier, push, multipliers, enough)
         # Only a caller that wants every iterate needs C to come back after each.
         status = ""
         points = BANDED_ITERATIONS_PER_CALL if isinstance(watch, Watch) and not watch.reports_every_iterate else 1

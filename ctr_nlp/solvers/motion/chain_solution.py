@@ -8,6 +8,10 @@ from ctr_nlp.ocp.chain import Chain
 from ctr_nlp.solvers.frame.adapter import FEASIBILITY_TOLERANCE, KKT_TOLERANCE, Solution
 from ctr_nlp.typing import Array
 
+WALL_START_BARRIER_MM2 = 0.1
+"""First barrier for starts far beyond a wall, mm^2. Contact costs tens of mm^2 a mm: with a smaller barrier steps
+would creep along the wall.
+"""
 COLD_START_BARRIER_MM2, WARM_START_BARRIER_MM2, LOCAL_START_BARRIER_MM2 = 1e-2, 1e-4, 1e-6
 """First barriers, mm^2: COLD_START_BARRIER_MM2 lets the objective decide which limits become active,
 WARM_START_BARRIER_MM2 is for starts at which most active limits are known, and LOCAL_START_BARRIER_MM2 stays in

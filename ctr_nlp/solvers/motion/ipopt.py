@@ -54,11 +54,16 @@ class IpoptSolver:
         return self._built[barrier]
 
     def __call__(
-        self, x0: Array, watch: Watch, barrier: float = COLD_START_BARRIER_MM2, multipliers: Array | None = None
+        self,
+        x0: Array,
+        watch: Watch,
+        barrier: float = COLD_START_BARRIER_MM2,
+        multipliers: Array | None = None,
+        tolerance: float | None = None,
     ) -> Solution:
         """Solve from x0 (T n,); IPOPT starts with multipliers of its own, and `multipliers` is ignored.
 
-        watch: reported every iterate. barrier: the first one, mm^2.
+        watch: reported every iterate. barrier: the first one, mm^2. tolerance: ignored, as IPOPT solves exactly.
         """
         chain = self.chain
         size = x0.size

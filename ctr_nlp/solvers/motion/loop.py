@@ -30,6 +30,7 @@ LOOP_INTEGER_SETTINGS = "most_iterations", "most_halvings", "stall"
 class _Loop(ctypes.Structure):
     """The struct Loop of banded.c, field by field."""
 
+    tolerance: float
     barrier: float
     penalty: float
     number: int
@@ -54,9 +55,10 @@ class _Loop(ctypes.Structure):
         *((name, ctypes.c_double) for name in ("told_objective", "told_violation", "told_error")),
     ]
 
-    def start(self, barrier: float) -> None:
-        """Reset the counters, with a barrier in mm^2."""
+    def start(self, barrier: float, tolerance: float) -> None:
+        """Reset the counters, with a barrier in mm^2 and the KKT residual at which the method ends."""
         self.barrier = barrier
+        self.tolerance = tolerance
         self.penalty = 1.0
         self.number = 0
         self.expanded = 0
@@ -98,10 +100,15 @@ class Loop:
         self._iterate = library.iterate
         self._reference = ctypes.byref(self._loop)
 
-    def start(self, x: Array, barrier: float, push: float, multipliers: Array | None = None) -> None:
-        """Put the point at x (T n,) with a barrier in mm^2; push and multipliers as in ChainRows.start."""
+    def start(
+        self, x: Array, barrier: float, push: float, multipliers: Array | None = None, tolerance: float = 0.0
+    ) -> None:
+        """Put the point at x (T n,) with a barrier in mm^2; push and multipliers as in ChainRows.start.
+
+        tolerance: largest stationarity (mm^2 per unit of x) and complementarity (mm^2) at a solution.
+        """
         self.rows.start(x, barrier, push, multipliers)
-        self._loop.start(barrier)
+        self._loop.start(barrier, tolerance)
 
     def iterate(self, points: int) -> int:
         """Run up to `points` further iterations; return why the solve ended, as numbered in banded.c, or 0."""

@@ -27,8 +27,9 @@ class Iterate(NamedTuple):
 class Watch:
     """Callback for every iterate; its answer says whether to stop.
 
-    best: the feasible iterate of least objective, the first among equals, or None. Bounds may be exceeded by up to
-    FEASIBILITY_TOLERANCE, which covers rounding.
+    report: called with each. stop: asked whether to end. first: an iterate that is known before. most: number of
+    iterations after which to stop, None for any. best: the feasible iterate of least objective, the first among
+    equals, or None. Bounds may be exceeded by up to FEASIBILITY_TOLERANCE, which covers rounding.
     """
 
     def __init__(
@@ -36,9 +37,11 @@ class Watch:
         report: Callable[[Iterate], None] | None = None,
         stop: Callable[[], bool] = lambda: False,
         first: Iterate | None = None,
+        most: int | None = None,
     ) -> None:
         self._report = report
         self._stop = stop
+        self._most = most
         self.best: Iterate | None = None
         if first is not None:
             self._keep(first)
@@ -60,4 +63,4 @@ class Watch:
         self._keep(iterate)
         if self._report is not None:
             self._report(iterate)
-        return self._stop()
+        return self._stop() or (self._most is not None and iterate.number >= self._most)
