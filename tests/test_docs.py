@@ -50,7 +50,7 @@ THIN = {
     ("plan bronchus --robot*",): "--robot two.toml --frames 12 --samples 20",
     ("plan bronchus*",): "--frames 12 --samples 20",
     ("plan *synthetic_airway*",): "--robot two.toml --frames 40 --stability-margin 0.2 --samples 20",
-    ("plan *human_airways*",): "--frames 12 --samples 20",
+    ("plan *human_airways*",): "--robot stock_3 --frames 25 --samples 20",
     ("plan *slicer_tree*",): "--nominal --frames 12 --samples 20",
     ("plan *airway*", "steer *airway*"): "--frames 40 --stability-margin 0.2 --samples 20",
     ("plan *", "steer *"): "--frames 40 --samples 20",
