@@ -176,8 +176,9 @@ class Wall:
         # In the order of terms.lumen.WALL_COLUMN_COUNT: three vectors, then five numbers.
         wall = np.concatenate([near.centre, near.tangent, near.bend, numbers], axis=-1)
         slack = np.maximum(-left.min(axis=1), 0.0)
-        # Programs know how a sample point moves, and not the places beside it: these are taken to move as the
-        # point does, and their walls to stand beside it.
+        # Programs know how a sample point p moves, and not the places s beside it: these are taken to move as the
+        # point does. Room at s is then that at p beside a wall whose centre is moved by p - s. Derivatives of
+        # points over the unknowns are what takes time in programs; these rows need none but those of p.
         at_samples, beside = self._subsamples
         found = wall[:, beside]
         found[..., :3] += points[:, at_samples] - points[:, beside]

@@ -80,6 +80,8 @@ def room_at_samples(body: Body, wall: ca.SX) -> tuple[Inner, ca.SX]:
     # over x.
     points = Inner.of([ca.SX(ca.horzcat(*body.points))])
     at = columns_of(points.symbols[0])
+    # All rows of a sample point share its symbols: the sparsity of second derivatives stays 3 by 3 a sample point,
+    # however many places are looked at.
     rooms = list[ca.SX]()
     for rows in ca.vertsplit(wall, at[0].numel()):
         path = [columns_of(each) for each in (rows[:, :3], rows[:, 3:6], rows[:, 6:9])]

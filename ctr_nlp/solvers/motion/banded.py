@@ -98,9 +98,11 @@ class BandedSolver:
         loop = self._loop
         low = self.chain.lower.ravel()
         high = self.chain.upper.ravel()
-        # Fixed unknowns take their values here, as they never move.
+        # A slack s at distance p from its bound has the multiplier mu / p: with a large barrier mu and a small p,
+        # multipliers begin far too large, and the first steps serve to lower them.
         push = max(BANDED_LEAST_SLACK_PUSH, BANDED_SLACK_PUSH_PER_MM2 * barrier)
         enough = BANDED_KKT_TOLERANCE if tolerance is None else tolerance
+        # Fixed unknowns take their values here, as they never move.
         loop.start(np.clip(x0, low, high), barrier, push, multipliers, enough)
         # Only a caller that wants every iterate needs C to come back after each.
         status = ""

@@ -207,6 +207,8 @@ class _InteriorPointSolve:
         """Keep the feasible point of least residual at the last barrier; errors: at the present point."""
         if self._barrier > self._last or errors.infeasibility > SHARED_INFEASIBILITY_TOLERANCE:
             return
+        # The residual of the problem itself (barrier 0): by it the solution is judged in the end. At earlier
+        # barriers it cannot be small, since every product of a slack and its multiplier is near the barrier.
         residual = errors.residual(0.0)
         if self._nearest is None or residual < self._nearest[0]:
             self._nearest = residual, self.point
