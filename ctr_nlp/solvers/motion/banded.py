@@ -103,7 +103,7 @@ class BandedSolver:
         push = max(BANDED_LEAST_SLACK_PUSH, BANDED_SLACK_PUSH_PER_MM2 * barrier)
         enough = BANDED_KKT_TOLERANCE if tolerance is None else tolerance
         # Fixed unknowns take their values here, as they never move.
-        loop.start(np.clip(x0, low, high), barrier, push, multipliers, enough)
+        loop.start(np.clip(x0, low, high), barrier, push, enough, multipliers)
         # Only a caller that wants every iterate needs C to come back after each.
         status = ""
         points = BANDED_ITERATIONS_PER_CALL if isinstance(watch, Watch) and not watch.reports_every_iterate else 1
@@ -121,7 +121,6 @@ class BandedSolver:
 def _real_settings() -> dict[str, float]:
     """Return the real-valued settings by the names of LOOP_REAL_SETTINGS."""
     return {
-        "tolerance": BANDED_KKT_TOLERANCE,
         "feasible": FEASIBILITY_TOLERANCE,
         "last_barrier": BANDED_LAST_BARRIER_MM2,
         "close": BARRIER_RESIDUAL_FACTOR,

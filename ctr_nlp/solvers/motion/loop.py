@@ -19,7 +19,7 @@ from ctr_nlp.solvers.motion.watch import Iterate
 from ctr_nlp.typing import Array
 
 LOOP_REAL_SETTINGS = (
-    *("tolerance", "feasible", "last_barrier", "close", "shrink", "damping", "most_damping", "diverged"),
+    *("feasible", "last_barrier", "close", "shrink", "damping", "most_damping", "diverged"),
     *("loose", "stalled"),
 )
 """Names of the real-valued settings, in the order of the struct's fields."""
@@ -46,6 +46,7 @@ class _Loop(ctypes.Structure):
         *((name, ctypes.POINTER(BatchStruct)) for name in ("values", "expansion")),
         *((name, ctypes.c_void_p) for name in ("x_of_values", "x_of_expansion", "multipliers")),
         *((name, ctypes.c_void_p) for name in ("hessian", "convexified", "merit", "told_x")),
+        ("tolerance", ctypes.c_double),
         *((name, ctypes.c_double) for name in LOOP_REAL_SETTINGS),
         *((name, ctypes.c_long) for name in LOOP_INTEGER_SETTINGS),
         *((name, ctypes.c_double) for name in ("barrier", "penalty")),
@@ -91,6 +92,7 @@ class Loop:
             self.rows.address,
             *map(ctypes.pointer, self._mapped),
             *(array.ctypes.data for array in (*inputs, hessian, *self._room, self._told)),
+            0.0,  # tolerance: each start has its own
             *(numbers[name] for name in LOOP_REAL_SETTINGS),
             *(counts[name] for name in LOOP_INTEGER_SETTINGS),
         )
@@ -101,7 +103,7 @@ class Loop:
         self._reference = ctypes.byref(self._loop)
 
     def start(
-        self, x: Array, barrier: float, push: float, multipliers: Array | None = None, tolerance: float = 0.0
+        self, x: Array, barrier: float, push: float, tolerance: float, multipliers: Array | None = None
     ) -> None:
         """Put the point at x (T n,) with a barrier in mm^2; push and multipliers as in ChainRows.start.
 
