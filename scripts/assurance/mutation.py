@@ -18,7 +18,7 @@ import random
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, NamedTuple
@@ -97,21 +97,28 @@ class Replaced(importlib.abc.MetaPathFinder, importlib.abc.InspectLoader):
         return compile(self._text, str(self._path), "exec")
 
 
-def find_mutants(path: Path) -> list[Mutant]:
-    """Return all mutants of a file."""
+def find_mutants(path: Path, lines: Collection[str] | None = None) -> list[Mutant]:
+    """Return the mutants of a file: all, or those of what stands in one of these lines, without their indents."""
+    from cosmic_ray.ast import ast_nodes, get_ast
     from cosmic_ray.mutating import mutate_code
     from cosmic_ray.plugins import get_operator, operator_names
 
     text = path.read_text(encoding="utf-8")
+    tree = get_ast(text)
+    stripped = [line.strip() for line in text.splitlines()]
     names = [name for name in operator_names() if {*name.split("Operator_"), *name.split("/")} & {*CHANGES}]
     found = []
     for name in names:
-        occurrence = 0
-        while (changed := mutate_code(text, get_operator(name)(), occurrence)) is not None:
+        operator = get_operator(name)()
+        # In the order in which mutate_code counts them. Each of its calls parses the text anew.
+        places = [place for node in ast_nodes(tree) for place in operator.mutation_positions(node)]
+        for occurrence, ((first, _), (last, _)) in enumerate(places):
+            if lines is not None and not set(lines) & set(stripped[first - 1 : last]):
+                continue
+            changed = mutate_code(text, get_operator(name)(), occurrence)
             pairs = zip(text.splitlines(), changed.splitlines(), strict=False)
             line, (before, after) = next((i, pair) for i, pair in enumerate(pairs, 1) if pair[0] != pair[1])
             found.append(Mutant(name.split("/")[-1], line, before.strip(), after.strip(), changed))
-            occurrence += 1
     return found
 
 
