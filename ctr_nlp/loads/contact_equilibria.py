@@ -25,7 +25,7 @@ from ctr_nlp.models.elastic.compiled import (
     MIN_PATH_STEP_FRACTION,
 )
 from ctr_nlp.models.loaded.equilibria import MAX_LOADED_NEWTON_TURN_RAD, LoadedEquilibria, States
-from ctr_nlp.models.loaded.stability import margin_determinants, margins
+from ctr_nlp.models.loaded.stability import margins, smooth_margins
 from ctr_nlp.typing import Array, Flags, Index
 
 CONTACT_FORCE_TOLERANCE_N = 1e-4
@@ -144,13 +144,15 @@ class ContactEquilibria(ContactRods):
             return np.full(len(states.q), np.nan)
         return margins(self._foundation_rods, self._founded_states(states), bending)
 
-    def margin_determinants(self, states: ContactStates, at: Array, near: Sequence[Index]) -> Array:
-        """Return numbers (T,) that vanish where `at` (T,) are the stability margins of states.
+    def smooth_margins(
+        self, states: ContactStates, at: Array, near: Sequence[Index] | None = None
+    ) -> tuple[Array, Flags]:
+        """Return stability margins (T,) of equilibria that are smooth functions of them, and where they are known.
 
-        They are smooth in states and margins. near: pieces of each state that may touch.
+        See models/loaded/stability.py. at (T,): margins at which they are tested. near: pieces of each state that
+        may touch; by default all of them.
         """
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return margin_determinants(self._foundation_rods, self._founded_states(states, near), at)
+        return smooth_margins(self._foundation_rods, self._founded_states(states, near), at)
 
     @cached_property
     def _foundation_rods(self) -> LoadedEquilibria:

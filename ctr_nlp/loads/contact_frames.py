@@ -31,12 +31,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.loads.contact_equilibria import ContactEquilibria
-from ctr_nlp.loads.contact_neighbours import ContactNeighbours, ContactSlopes, NearbyRods
+from ctr_nlp.loads.contact_neighbours import ContactNeighbours, ContactSlopes
 from ctr_nlp.loads.contact_rods import ContactState, ContactStates, signed_probes
+from ctr_nlp.models.loaded.stability import MAX_COMPUTED_MARGIN
 from ctr_nlp.ocp.terms.arrival import ArrivalTerm
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.paths.target import SIGMA_GRID
-from ctr_nlp.typing import Array, Index
+from ctr_nlp.typing import Array
 
 CONTACT_SIGMA = SIGMA_GRID[::4]
 """Points at which the shape's error counts in the program."""
@@ -121,6 +122,10 @@ class ContactFrames:
         self._ahead = self._y, self.states
         self._slopes: list[ContactSlopes] | None = None
         self._margins: tuple[ContactStates, Array] | None = None
+        # Smooth margins are known where a robot has the one that it is tested at: the least that is asked for, or
+        # what it begins with, where that is less.
+        margins = np.minimum(self.equilibria.margins(self._present), MAX_COMPUTED_MARGIN)
+        self._tested_at = np.minimum(self.margin, margins)
 
     @property
     def y(self) -> Array:
@@ -133,10 +138,13 @@ class ContactFrames:
         if found is None:
             return None
         states = ContactStates.stack(found)
+        margins = self._find_margins(states)
+        if margins is None:
+            return None
         forces = self.equilibria.forces(states)
         shapes = self.equilibria.shapes(states, CONTACT_SIGMA)
         cost = self._costs(shapes[:, None], forces.force.sum(axis=1)[:, None]).cost[:, 0]
-        return FrameValues(states.q, cost, self._find_margins(states), forces.at_places)
+        return FrameValues(states.q, cost, margins, forces.at_places)
 
     def move_to(self, y: Array) -> bool:
         """Make the equilibria at y (T, n) the present ones; False where a frame has none near the present one."""
@@ -162,7 +170,7 @@ class ContactFrames:
         counts = np.flatnonzero(margins < self.margin + MARGIN_SLOPE_RANGE)
         if len(counts):
             margin_by[counts] = self._nearby.margin_slopes(
-                self._present.rows(counts), [slopes[j] for j in counts], margins[counts]
+                self._present.rows(counts), [slopes[j] for j in counts], self._tested_at[counts], margins[counts]
             )
         costs = self._costs(
             np.stack([each.points for each in slopes])[:, None],
@@ -176,7 +184,7 @@ class ContactFrames:
         )
         hessian = np.zeros((count, n, n))
         if curvature:
-            hessian = self._hessians(slopes, costs, margins, margin_by, multipliers)
+            hessian = self._hessians(slopes, costs, margin_by, multipliers)
         return FrameDerivatives(
             FrameValues(
                 self._present.q, costs.cost[:, 0], margins, np.stack([each.force_at_places for each in slopes])
@@ -194,10 +202,13 @@ class ContactFrames:
             self._slopes = self._nearby.slopes(self._present, CONTACT_SIGMA)
         return self._slopes
 
-    def _find_margins(self, states: ContactStates) -> Array:
-        """Return the stability margins (T,) of states."""
+    def _find_margins(self, states: ContactStates) -> Array | None:
+        """Return the smooth stability margins (T,) of states; None where a frame's is not known."""
         if self._margins is None or any(map(np.any, map(np.not_equal, self._margins[0], states))):
-            self._margins = states, self.equilibria.margins(states)
+            margins, known = self.equilibria.smooth_margins(states, self._tested_at)
+            if not known.all():
+                return None
+            self._margins = states, margins
         return self._margins[1]
 
     def _find(self, y: Array) -> list[ContactState] | None:
@@ -256,13 +267,12 @@ class ContactFrames:
         self,
         slopes: Sequence[ContactSlopes],
         costs: _Costs,
-        margins: Array,
         margin_by: Array,
         multipliers: FrameMultipliers,
     ) -> Array:
         """Return the Hessians (T, n, n) of the frames' Lagrangians over y, by second differences.
 
-        slopes, costs: at the present equilibria. margins (T,), margin_by (T, n): stability margins and slopes.
+        slopes, costs: at the present equilibria. margin_by (T, n): slopes of stability margins.
         """
         d = self.problem.robot.d
         count, n = self._y.shape
@@ -286,21 +296,15 @@ class ContactFrames:
             found[j] += step @ by_u
         bent = np.flatnonzero((abs(multipliers.margin) > MIN_MARGIN_MULTIPLIER_MM2) & margin_by.any(axis=1))
         if len(bent):
-            guesses = margins[bent, None] + (steps[bent] @ margin_by[bent][..., None])[..., 0]
-            of_margin = self._margins_around(around, slopes, bent, guesses)
+            rows = (bent[:, None] * steps.shape[1] + np.arange(steps.shape[1])).ravel()
+            of_margin = self._nearby.margins_around(
+                around.states.rows(rows),
+                [slopes[j] for j in bent],
+                [around.corrections[j] for j in bent],
+                self._tested_at[bent],
+            )
             found[bent] += multipliers.margin[bent, None] * of_margin
         change = found[:, 1 + n :] - found[:, 1 + first] - found[:, 1 + second] + found[:, :1]
         hessian = np.zeros((count, n, n))
         hessian[:, first, second] = hessian[:, second, first] = change / (probes[:, first] * probes[:, second])
         return hessian
-
-    def _margins_around(
-        self, around: NearbyRods, slopes: Sequence[ContactSlopes], frames: Index, guesses: Array
-    ) -> Array:
-        """Return stability margins (m, P) of rods around some frames (m,), from guesses of them (m, P)."""
-        each = guesses.shape[1]
-        rows = (frames[:, None] * each + np.arange(each)).ravel()
-        part = around._replace(
-            states=around.states.rows(rows), corrections=[around.corrections[j] for j in frames]
-        )
-        return self._nearby.margins_around(part, [slopes[j] for j in frames], guesses)

@@ -35,7 +35,6 @@ from ctr_nlp.loads.contact_rods import (
 )
 from ctr_nlp.loads.winkler_wall import WallPush
 from ctr_nlp.models.loaded.equilibria import MAX_LOADED_NEWTON_TURN_RAD
-from ctr_nlp.models.loaded.stability import MAX_COMPUTED_MARGIN
 from ctr_nlp.typing import Array, Index
 
 MAX_KEPT_JACOBIAN_STEP_RATIO = 0.1
@@ -43,7 +42,7 @@ MAX_KEPT_JACOBIAN_STEP_RATIO = 0.1
 SETTLED_PUSH_N_PER_MM = 1e-9
 """Largest last Newton step of the pushes at given coordinates, N/mm."""
 MARGIN_PROBE = 1e-6
-"""Change of a coordinate, rad or mm, and of a margin, for the slopes of margins."""
+"""Change of a coordinate, rad or mm, for the slopes of margins."""
 
 
 class ContactSlopes(NamedTuple):
@@ -222,41 +221,41 @@ class ContactNeighbours:
                 break
         return found
 
-    def margin_slopes(self, states: ContactStates, slopes: Sequence[ContactSlopes], margins: Array) -> Array:
-        """Return the derivatives (T, 2d + 2) of stability margins (T,) by y; 0 where a margin counts as 1.
+    def margin_slopes(
+        self, states: ContactStates, slopes: Sequence[ContactSlopes], at: Array, margins: Array
+    ) -> Array:
+        """Return the derivatives (T, 2d + 2) of smooth stability margins (T,) by y; 0 where a margin counts as 1.
 
-        slopes: of the states. From the determinant D(mu, y) that vanishes at the margin mu: dmu/dy = -(dD/dy) /
-        (dD/dmu).
+        slopes: of the states. at (T,): margins at which they are tested.
         """
         n = states.q.shape[1]
         d = self.equilibria.robot.d
         steps = np.full((len(slopes), n), MARGIN_PROBE)
         steps[:, d : 2 * d] = signed_probes(states.q[:, d : 2 * d], steps[:, d : 2 * d])
-        # The state itself comes twice: its determinant at its margin, and beside that.
-        probes = np.zeros((len(slopes), n + 2, n))
-        probes[:, np.arange(n), np.arange(n)] = steps
-        at = np.repeat(margins[:, None], n + 2, axis=1)
-        at[:, n + 1] += MARGIN_PROBE
-        near = [slope.near for slope in slopes for _ in range(n + 2)]
-        found = self.equilibria.margin_determinants(self.predict(states, slopes, probes), at.ravel(), near)
-        found = found.reshape(at.shape)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            by_margin = (found[:, n + 1] - found[:, n]) / MARGIN_PROBE
-            by_y = -(found[:, :n] - found[:, n, None]) / steps / by_margin[:, None]
-        return np.where((margins < MAX_COMPUTED_MARGIN)[:, None], by_y, 0.0)
+        # The state itself comes first: a rod that is predicted differs from the settled one by rounding.
+        probes = np.zeros((len(slopes), 1 + n, n))
+        probes[:, 1 + np.arange(n), np.arange(n)] = steps
+        near = [slope.near for slope in slopes for _ in range(1 + n)]
+        around = self.predict(states, slopes, probes)
+        found, _ = self.equilibria.smooth_margins(around, np.repeat(at, 1 + n), near)
+        found = found.reshape(len(slopes), 1 + n)
+        return np.where((margins < 1)[:, None], (found[:, 1:] - found[:, :1]) / steps, 0.0)
 
-    def margins_around(self, around: NearbyRods, slopes: Sequence[ContactSlopes], guesses: Array) -> Array:
-        """Return stability margins (T, P) of rods near T equilibria, by a Newton step from guesses (T, P)."""
-        count, each = guesses.shape
-        none = np.zeros((count, each, around.states.q.shape[1]))
-        states = self._apply_steps(around.states, [slope.near for slope in slopes], around.corrections, none)
-        near = [slope.near for slope in slopes for _ in range(each)]
-        at = guesses.ravel()
-        here, beside = (
-            self.equilibria.margin_determinants(states, margins, near) for margins in (at, at + MARGIN_PROBE)
-        )
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(at - here * MARGIN_PROBE / (beside - here)).reshape(guesses.shape)
+    def margins_around(
+        self, states: ContactStates, slopes: Sequence[ContactSlopes], corrections: Sequence[Array], at: Array
+    ) -> Array:
+        """Return smooth stability margins (T, P) of P rods near each of T equilibria.
+
+        states (T P,): predicted to first order. slopes: of the equilibria. corrections: Newton steps (P, m) of u
+        for each equilibrium (NearbyRods). at (T,): margins at which they are tested.
+        """
+        each = len(corrections[0])
+        near = [slope.near for slope in slopes]
+        none = np.zeros((len(near), each, states.q.shape[1]))
+        exact = self._apply_steps(states, near, corrections, none)
+        pieces = [own for own in near for _ in range(each)]
+        found, _ = self.equilibria.smooth_margins(exact, np.repeat(at, each), pieces)
+        return found.reshape(len(near), each)
 
     def _slopes_of(self, system: ContactSystem, points: Array, push: Array) -> ContactSlopes:
         """Return the slopes of a state; points: of the system's rods; push (K, 3): of the wall, N/mm."""

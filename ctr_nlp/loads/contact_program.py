@@ -41,7 +41,7 @@ MARGIN_SHORTFALL, FORCE_EXCESS = -2, -1
 """Positions of s_M and s_P among the unknowns of a frame."""
 CONTACT_KKT_TOLERANCE = 2e-3
 """KKT residual at which a search ends, mm^2 per unit of the unknowns, a fifth of what counts as solved."""
-GAIN_ITERATIONS = 10
+GAIN_ITERATIONS = 5
 """Iterations over which a search's gain is measured."""
 SOFT_UNIT = 0.01
 """Size of s_M and s_P, and N, that a unit of their unknowns stands for: with large units the solver's merit

@@ -8,7 +8,7 @@ import scipy.linalg
 from contact_truth import Bend, Cylinder, solve_contact
 from loaded_plans import TWO
 
-from ctr_nlp import Load, Robot, Tube
+from ctr_nlp import Load, Robot, Tube, table_i_robot
 from ctr_nlp.loads.contact_equilibria import CONTACT_FORCE_TOLERANCE_N, ContactEquilibria
 from ctr_nlp.loads.contact_neighbours import ContactNeighbours
 from ctr_nlp.loads.contact_rods import ContactState, ContactStates
@@ -146,9 +146,9 @@ def test_slopes_of_margins_are_those_of_equilibria_nearby():
     equilibria, state = placed(robot, lumen_along([0, 0, 0], [0, 0, 1.0], 3.0), 0.032, q)
     assert equilibria.forces(ContactStates.stack([state])).force.sum() > 0.01
     here, nearby = ContactStates.stack([state]), ContactNeighbours(equilibria)
-    margin = equilibria.margins(here)
+    at = equilibria.margins(here) - 0.05
     slopes = nearby.slopes(here, SIGMA_GRID)
-    (found,) = nearby.margin_slopes(here, slopes, margin)
+    (found,) = nearby.margin_slopes(here, slopes, at, equilibria.smooth_margins(here, at)[0])
     assert abs(found).max() > 0.01
     for column in range(len(q)):
         step = np.zeros(len(q))
@@ -156,8 +156,53 @@ def test_slopes_of_margins_are_those_of_equilibria_nearby():
         both = nearby.predict(here, slopes, np.stack([step, -step])[None])
         near = nearby.settle(both, slopes * 2)
         assert None not in near
-        ahead, behind = equilibria.margins(ContactStates.stack(near))
+        ahead, behind = equilibria.smooth_margins(ContactStates.stack(near), np.repeat(at, 2))[0]
         assert found[column] == pytest.approx((ahead - behind) / 2e-3, abs=1e-3 * max(0.1, abs(found).max()))
+
+
+def test_smooth_margins_are_exact_where_they_are_tested():
+    """Above that they are less than the margin, and close to it while other eigenvalues are far."""
+    robot = with_modulus(Robot((Tube(90, 70, 0.006, 1.6, 1.2), Tube(150, 90, 0.006, 1.0, 0.6))), 60_000)
+    q = np.array([0.65, -2.17, 44.6, 72.0, 0.04, -0.03])
+    equilibria, state = placed(robot, lumen_along([0, 0, 0], [0, 0, 1.0], 3.0), 0.032, q)
+    margin = equilibria.margins(ContactStates.stack([state]))
+    at = margin + np.array([-0.1, -0.01, -1e-6, 0.005])
+    found, known = equilibria.smooth_margins(ContactStates.stack([state] * 4), at)
+    assert known.all()
+    assert found[2] == pytest.approx(margin[0], abs=1e-6)
+    assert (found[:2] < margin).all()
+    assert (found[:2] > at[:2]).all()
+    np.testing.assert_allclose(found, np.repeat(margin, 4), atol=0.002)
+    alone, rod = placed(ROD, lumen_along([0, 0, 0], [0, 0, 1.0], 9.0), 0.032, [0.0, 100.0, 0.0, 0.0])
+    assert alone.smooth_margins(ContactStates.stack([rod]), np.array([0.1]))[0] == 1.0
+
+
+def test_smooth_margins_have_no_corner_where_eigenvalues_cross():
+    """Of three tubes either turn against each other may be the one that snaps."""
+    robot = with_modulus(table_i_robot(), 60_000)
+    q = np.array([0.0, 3.2, 1.9, 47.0, 59.0, 88.7, -0.04, -0.09])
+    equilibria, state = placed(robot, lumen_along([0, 0, 0], [0, 0, 1.0], 60.0), 0.032, q)
+    here, nearby = ContactStates.stack([state]), ContactNeighbours(equilibria)
+
+    def neighbours(steps):
+        slopes = nearby.slopes(here, SIGMA_GRID)
+        return nearby.predict(here, slopes, steps[None]), slopes
+
+    for left in range(30, 0, -1):
+        step = np.zeros((1, 8))
+        step[0, :2] = (np.array([-2.196, 1.581]) - nearby.coordinates(here)[0, :2]) / left
+        (reached,) = nearby.settle(*neighbours(step))
+        here = ContactStates.stack([reached])
+    steps = np.zeros((401, 8))
+    steps[:, 0] = np.linspace(-0.05, 0.05, 401)
+    near, _ = neighbours(steps)
+    margins = equilibria.margins(near)
+    smooth, known = equilibria.smooth_margins(near, np.full(401, margins.min() - 1e-3))
+    assert known.all()
+    assert (smooth < margins).all()
+    corner, bend = (abs(np.diff(each, 2)).max() for each in (margins, smooth))
+    assert corner > 5e-5
+    assert bend < 0.1 * corner
 
 
 def test_the_wall_gets_stiff_around_its_surface():

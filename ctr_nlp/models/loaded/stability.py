@@ -26,6 +26,10 @@ MAX_COMPUTED_MARGIN = 0.9992
 """Margin above which 1 is reported: steps of integration are too long for torsion that is so soft."""
 LOADED_MARGIN_TOLERANCE = 1e-7
 """Accuracy of a margin; equilibria and steps of integration have errors of the same size."""
+SMOOTH_MARGIN_WIDTH = 0.02
+"""Distance between the two margins at which a robot is tested for its smooth margin. Corners are rounded over
+about as much.
+"""
 
 
 def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False) -> Array:
@@ -66,13 +70,30 @@ def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False)
     return found
 
 
-def margin_determinants(equilibria: LoadedEquilibria, states: States, at: Array) -> Array:
-    """Return the determinants (T,) of states that vanish at their stability margins, at given margins `at` (T,).
+def smooth_margins(equilibria: LoadedEquilibria, states: States, at: Array) -> tuple[Array, Flags]:
+    """Return stability margins (T,) of states that are smooth functions of them, and where they are known (T,).
 
-    equilibria: solver of the robots' structure and kind of load. They are smooth in margins and states, so that
-    the implicit function theorem gives the slopes of a margin.
+    The margin is the least of several eigenvalues mu_i, and has a corner where two of them are equal: searches
+    with second derivatives end there. With compliances nu = 1 / (1 - mu) of torsion the determinant is a multiple
+    of prod_i (1 - nu / nu_i), and
+
+        nu + h / (R - 1),   R = D(nu - h) / D(nu) = prod_i (1 + h / (nu_i - nu)),
+
+    is a smooth function of all of them. It is nu exactly where the least nu_i is, less than that where it is
+    above, and close to it while the others are farther. It takes two integrations of the rod instead of some ten.
+
+    equilibria: solver of the robots' structure and kind of load. at (T,): margins, below 1, at which robots are
+    tested. Below these the number is known as long as one eigenvalue is below, by less than the others are above;
+    slopes are right a little farther.
     """
-    return np.asarray(_pivots_at(equilibria, states, at, False).prod(axis=(1, 2)))
+    here, below = (_pivots_at(equilibria, states, mu, False) for mu in (at, at - SMOOTH_MARGIN_WIDTH))
+    nu, lower = (1 / (1 - mu) for mu in (at, at - SMOOTH_MARGIN_WIDTH))
+    lost = (here < 0).sum(axis=(1, 2))
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        softest = nu + (nu - lower) / ((below / here).prod(axis=(1, 2)) - 1)
+        # Where no tube acts on another both determinants are equal, but for rounding.
+        found = np.where((lost == 0) & ~(softest > nu), 1.0, 1 - 1 / softest)
+        return found, (lost == 0) | ((lost == 1) & (softest > 0) & (softest < nu))
 
 
 def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, known: Array) -> Array:
