@@ -33,7 +33,7 @@ import numpy as np
 from ctr_nlp.loads.contact_equilibria import ContactEquilibria
 from ctr_nlp.loads.contact_neighbours import ContactNeighbours, ContactSlopes
 from ctr_nlp.loads.contact_rods import ContactState, ContactStates, signed_probes
-from ctr_nlp.models.loaded.stability import MAX_COMPUTED_MARGIN
+from ctr_nlp.models.loaded.stability import LOADED_MARGIN_TOLERANCE, MAX_COMPUTED_MARGIN
 from ctr_nlp.ocp.terms.arrival import ArrivalTerm
 from ctr_nlp.paths.problem import Problem
 from ctr_nlp.paths.target import SIGMA_GRID
@@ -123,9 +123,9 @@ class ContactFrames:
         self._slopes: list[ContactSlopes] | None = None
         self._margins: tuple[ContactStates, Array] | None = None
         # Smooth margins are known where a robot has the one that it is tested at: the least that is asked for, or
-        # what it begins with, where that is less.
+        # what it begins with, where that is less, but for the accuracy of both.
         margins = np.minimum(self.equilibria.margins(self._present), MAX_COMPUTED_MARGIN)
-        self._tested_at = np.minimum(self.margin, margins)
+        self._tested_at = np.minimum(self.margin, margins - 10 * LOADED_MARGIN_TOLERANCE)
 
     @property
     def y(self) -> Array:
@@ -165,6 +165,8 @@ class ContactFrames:
         """
         slopes = self._find_slopes()
         margins = self._find_margins(self._present)
+        # Solvers go to unknowns whose values are known only.
+        assert margins is not None
         count, n = self._y.shape
         margin_by = np.zeros((count, n))
         counts = np.flatnonzero(margins < self.margin + MARGIN_SLOPE_RANGE)
@@ -205,8 +207,8 @@ class ContactFrames:
     def _find_margins(self, states: ContactStates) -> Array | None:
         """Return the smooth stability margins (T,) of states; None where a frame's is not known."""
         if self._margins is None or any(map(np.any, map(np.not_equal, self._margins[0], states))):
-            margins, known = self.equilibria.smooth_margins(states, self._tested_at)
-            if not known.all():
+            margins = self.equilibria.known_margins(states, self._tested_at)
+            if np.isnan(margins).any():
                 return None
             self._margins = states, margins
         return self._margins[1]
@@ -299,8 +301,8 @@ class ContactFrames:
             rows = (bent[:, None] * steps.shape[1] + np.arange(steps.shape[1])).ravel()
             of_margin = self._nearby.margins_around(
                 around.states.rows(rows),
-                [slopes[j] for j in bent],
-                [around.corrections[j] for j in bent],
+                [slopes[j] for j in bent.tolist()],
+                [around.corrections[j] for j in bent.tolist()],
                 self._tested_at[bent],
             )
             found[bent] += multipliers.margin[bent, None] * of_margin

@@ -237,8 +237,7 @@ class ContactNeighbours:
         probes[:, 1 + np.arange(n), np.arange(n)] = steps
         near = [slope.near for slope in slopes for _ in range(1 + n)]
         around = self.predict(states, slopes, probes)
-        found, _ = self.equilibria.smooth_margins(around, np.repeat(at, 1 + n), near)
-        found = found.reshape(len(slopes), 1 + n)
+        found = self.equilibria.smooth_margins(around, np.repeat(at, 1 + n), near).reshape(len(slopes), 1 + n)
         return np.where((margins < 1)[:, None], (found[:, 1:] - found[:, :1]) / steps, 0.0)
 
     def margins_around(
@@ -254,7 +253,7 @@ class ContactNeighbours:
         none = np.zeros((len(near), each, states.q.shape[1]))
         exact = self._apply_steps(states, near, corrections, none)
         pieces = [own for own in near for _ in range(each)]
-        found, _ = self.equilibria.smooth_margins(exact, np.repeat(at, each), pieces)
+        found = self.equilibria.smooth_margins(exact, np.repeat(at, each), pieces)
         return found.reshape(len(near), each)
 
     def _slopes_of(self, system: ContactSystem, points: Array, push: Array) -> ContactSlopes:

@@ -148,7 +148,7 @@ def test_slopes_of_margins_are_those_of_equilibria_nearby():
     here, nearby = ContactStates.stack([state]), ContactNeighbours(equilibria)
     at = equilibria.margins(here) - 0.05
     slopes = nearby.slopes(here, SIGMA_GRID)
-    (found,) = nearby.margin_slopes(here, slopes, at, equilibria.smooth_margins(here, at)[0])
+    (found,) = nearby.margin_slopes(here, slopes, at, equilibria.smooth_margins(here, at))
     assert abs(found).max() > 0.01
     for column in range(len(q)):
         step = np.zeros(len(q))
@@ -156,7 +156,7 @@ def test_slopes_of_margins_are_those_of_equilibria_nearby():
         both = nearby.predict(here, slopes, np.stack([step, -step])[None])
         near = nearby.settle(both, slopes * 2)
         assert None not in near
-        ahead, behind = equilibria.smooth_margins(ContactStates.stack(near), np.repeat(at, 2))[0]
+        ahead, behind = equilibria.smooth_margins(ContactStates.stack(near), np.repeat(at, 2))
         assert found[column] == pytest.approx((ahead - behind) / 2e-3, abs=1e-3 * max(0.1, abs(found).max()))
 
 
@@ -167,14 +167,13 @@ def test_smooth_margins_are_exact_where_they_are_tested():
     equilibria, state = placed(robot, lumen_along([0, 0, 0], [0, 0, 1.0], 3.0), 0.032, q)
     margin = equilibria.margins(ContactStates.stack([state]))
     at = margin + np.array([-0.1, -0.01, -1e-6, 0.005])
-    found, known = equilibria.smooth_margins(ContactStates.stack([state] * 4), at)
-    assert known.all()
+    found = equilibria.known_margins(ContactStates.stack([state] * 4), at)
     assert found[2] == pytest.approx(margin[0], abs=1e-6)
     assert (found[:2] < margin).all()
     assert (found[:2] > at[:2]).all()
     np.testing.assert_allclose(found, np.repeat(margin, 4), atol=0.002)
     alone, rod = placed(ROD, lumen_along([0, 0, 0], [0, 0, 1.0], 9.0), 0.032, [0.0, 100.0, 0.0, 0.0])
-    assert alone.smooth_margins(ContactStates.stack([rod]), np.array([0.1]))[0] == 1.0
+    assert alone.known_margins(ContactStates.stack([rod]), np.array([0.1])) == [1.0]
 
 
 def test_smooth_margins_have_no_corner_where_eigenvalues_cross():
@@ -197,12 +196,15 @@ def test_smooth_margins_have_no_corner_where_eigenvalues_cross():
     steps[:, 0] = np.linspace(-0.05, 0.05, 401)
     near, _ = neighbours(steps)
     margins = equilibria.margins(near)
-    smooth, known = equilibria.smooth_margins(near, np.full(401, margins.min() - 1e-3))
-    assert known.all()
+    smooth = equilibria.known_margins(near, np.full(401, margins.min() - 1e-3))
     assert (smooth < margins).all()
     corner, bend = (abs(np.diff(each, 2)).max() for each in (margins, smooth))
     assert corner > 5e-5
     assert bend < 0.1 * corner
+    beyond = np.sort(margins)[[100, 300]].mean()
+    kept = equilibria.known_margins(near, np.full(401, beyond))
+    assert (kept[margins > beyond] > beyond).all()
+    assert not (kept[margins < beyond] >= beyond).any()
 
 
 def test_the_wall_gets_stiff_around_its_surface():

@@ -70,8 +70,8 @@ def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False)
     return found
 
 
-def smooth_margins(equilibria: LoadedEquilibria, states: States, at: Array) -> tuple[Array, Flags]:
-    """Return stability margins (T,) of states that are smooth functions of them, and where they are known (T,).
+def smooth_margins(equilibria: LoadedEquilibria, states: States, at: Array) -> Array:
+    """Return stability margins (T,) of states that are smooth functions of them.
 
     The margin is the least of several eigenvalues mu_i, and has a corner where two of them are equal: searches
     with second derivatives end there. With compliances nu = 1 / (1 - mu) of torsion the determinant is a multiple
@@ -83,17 +83,24 @@ def smooth_margins(equilibria: LoadedEquilibria, states: States, at: Array) -> t
     above, and close to it while the others are farther. It takes two integrations of the rod instead of some ten.
 
     equilibria: solver of the robots' structure and kind of load. at (T,): margins, below 1, at which robots are
-    tested. Below these the number is known as long as one eigenvalue is below, by less than the others are above;
-    slopes are right a little farther.
+    tested. A number below them is right where one direction is lost there (count_lost_directions), by less than
+    the other eigenvalues are above; 1 stands for no eigenvalue nearby.
     """
-    here, below = (_pivots_at(equilibria, states, mu, False) for mu in (at, at - SMOOTH_MARGIN_WIDTH))
-    nu, lower = (1 / (1 - mu) for mu in (at, at - SMOOTH_MARGIN_WIDTH))
-    lost = (here < 0).sum(axis=(1, 2))
+    tested = at, at - SMOOTH_MARGIN_WIDTH
+    here, below = (np.linalg.det(_responses_at(equilibria, states, mu)) for mu in tested)
+    nu, lower = (1 / (1 - mu) for mu in tested)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        softest = nu + (nu - lower) / ((below / here).prod(axis=(1, 2)) - 1)
+        softest = nu + (nu - lower) / ((below / here).prod(axis=1) - 1)
         # Where no tube acts on another both determinants are equal, but for rounding.
-        found = np.where((lost == 0) & ~(softest > nu), 1.0, 1 - 1 / softest)
-        return found, (lost == 0) | ((lost == 1) & (softest > 0) & (softest < nu))
+        return np.where(softest > 0, 1 - 1 / softest, 1.0)
+
+
+def count_lost_directions(equilibria: LoadedEquilibria, states: States, at: Array) -> Array:
+    """Return the number of directions (T,) that states have lost at margins (T,): of eigenvalues below them.
+
+    equilibria: solver of the robots' structure and kind of load.
+    """
+    return np.asarray((_pivots_at(equilibria, states, at, False) < 0).sum(axis=(1, 2)))
 
 
 def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, known: Array) -> Array:
@@ -125,10 +132,15 @@ def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, k
 
 def _pivots_at(equilibria: LoadedEquilibria, states: States, margin: Array, bending: bool) -> Array:
     """Return the pivots (T, k, d + 2) of states at margins (T,); bending: whether bending is soft, too."""
+    return pivots(_responses_at(equilibria, states, margin, bending))
+
+
+def _responses_at(equilibria: LoadedEquilibria, states: States, margin: Array, bending: bool = False) -> Array:
+    """Return the responses (T, k, d + 2, d + 2) of robots that are softer by margins (T,), as in _pivots_at."""
     # K + V - mu K has torsion of stiffness 1 - mu, that is of the compliance 1 / (1 - mu).
     torsion = 1 / (1 - margin)
     soft = np.stack([torsion, torsion if bending else np.ones_like(torsion)], axis=1)
-    return pivots(equilibria.ends_of(states, soft).responses)
+    return np.asarray(equilibria.ends_of(states, soft).responses)
 
 
 def _positive(found: Array) -> Flags:

@@ -31,6 +31,8 @@ MAX_RELATIVE_TIME_CHANGE = 0.15
 """Relative change of a row's time below which it counts as unchanged."""
 MIN_BENCHMARK_TURN_S = 0.05
 """Least duration of a turn, s; shorter rows are repeated."""
+MAX_ROW_TIME_FACTOR = 12
+"""How many times as long as it should be measured a row may take to be repeated often enough."""
 LEAST_BLOCKS = 7
 """Least number of blocks at which the sign test can reach ROW_SIGNIFICANCE_LEVEL: 2 / 2^7 < 0.02."""
 
@@ -181,11 +183,16 @@ def median_confidence_interval(
 
 
 def measure_row(worker: Worker, seconds: float, least: int = 5) -> Array:
-    """Return times (n,) in s of the pieces of a worker's row, over at least `least` turns and `seconds` s."""
+    """Return times (n,) in s of the pieces of a worker's row, over at least `least` turns and `seconds` s.
+
+    Turns that together take MAX_ROW_TIME_FACTOR times as long as `seconds` are enough, however few they are.
+    """
     found: list[float] = []
     begin = time.perf_counter()
     turns = 0
-    while turns < least or time.perf_counter() - begin < seconds:
+    while (taken := time.perf_counter() - begin) < seconds or (
+        turns < least and taken < MAX_ROW_TIME_FACTOR * seconds
+    ):
         found += worker.turns(1)[0]
         turns += 1
     return np.array(found)

@@ -124,6 +124,14 @@ def horizon(*names: str, model: str = "dominant", frames: int = 100, loaded: boo
     return lambda timed: [timed(lambda one=one, on=on: solve_horizon(one, model=on)) for one, on in asked]  # type: ignore[misc]
 
 
+def contact() -> TurnFunction:
+    """Make the row of solve_on_wall in bronchus, with the plan that it begins with."""
+    from ctr_nlp.loads.contact_plan import solve_on_wall
+
+    problem, _ = _loaded_problem(_problem("bronchus"))
+    return lambda timed: [timed(lambda: solve_on_wall(problem))]
+
+
 def program(*options: str) -> TurnFunction:
     """Make the row of `ctr-nlp plan arc` as a process, including the processes that it starts.
 
@@ -163,6 +171,8 @@ BENCHMARK_ROWS: dict[str, Callable[[], TurnFunction]] = {
     "horizon-lumen": lambda: horizon("bronchus"),
     "horizon-elastic": lambda: horizon("cos", model="elastic"),
     "horizon-loaded": lambda: horizon("cos", model="elastic", loaded=True),
+    "horizon-lumen-loaded": lambda: horizon("bronchus", model="elastic", loaded=True),
+    "horizon-contact": contact,
     "horizon-5000": lambda: horizon("cos", frames=5000),
     "program": lambda: program("--model", "dominant", "--no-figures"),
     "program-figures": lambda: program("--model", "dominant"),
