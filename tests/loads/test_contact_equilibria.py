@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -174,6 +176,10 @@ def test_smooth_margins_are_exact_where_they_are_tested():
     np.testing.assert_allclose(found, np.repeat(margin, 4), atol=0.002)
     alone, rod = placed(ROD, lumen_along([0, 0, 0], [0, 0, 1.0], 9.0), 0.032, [0.0, 100.0, 0.0, 0.0])
     assert alone.known_margins(ContactStates.stack([rod]), np.array([0.1])) == [1.0]
+    curled = with_modulus(Robot(tuple(replace(tube, curvature=0.06) for tube in robot.tubes)), 60_000)
+    held, aligned = placed(curled, lumen_along([0, 0, 0], [0, 0, 1.0], 8.0), 0.3, [0.5, 0.5, 44.6, 72.0, 0, 0])
+    assert held.margins(ContactStates.stack([aligned])) > 0.9
+    assert (held.known_margins(ContactStates.stack([aligned] * 3), np.array([0.0, 0.1, 0.5])) > 0.9).all()
 
 
 def test_smooth_margins_have_no_corner_where_eigenvalues_cross():

@@ -79,8 +79,8 @@ def smooth_margins(equilibria: LoadedEquilibria, states: States, at: Array) -> A
 
         nu + h / (R - 1),   R = D(nu - h) / D(nu) = prod_i (1 + h / (nu_i - nu)),
 
-    is a smooth function of all of them. It is nu exactly where the least nu_i is, less than that where it is
-    above, and close to it while the others are farther. It takes two integrations of the rod instead of some ten.
+    is a smooth function of all of them. It is nu exactly where the least nu_i above 0 is, and close to it while
+    the others are farther. It takes two integrations of the rod instead of some ten.
 
     equilibria: solver of the robots' structure and kind of load. at (T,): margins, below 1, at which robots are
     tested. A number below them is right where one direction is lost there (count_lost_directions), by less than
@@ -91,8 +91,10 @@ def smooth_margins(equilibria: LoadedEquilibria, states: States, at: Array) -> A
     nu, lower = (1 / (1 - mu) for mu in tested)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         softest = nu + (nu - lower) / ((below / here).prod(axis=1) - 1)
-        # Where no tube acts on another both determinants are equal, but for rounding.
-        return np.where(softest > 0, 1 - 1 / softest, 1.0)
+        # What the load or the wall holds has eigenvalues nu_i below 0, and where these are nearer than the others
+        # R is below 1. Where no tube acts on another R is 1, but for rounding.
+        is_far = (np.sign(here).prod(axis=1) > 0) & ~(softest > nu)
+        return np.where(is_far, 1.0, 1 - 1 / softest)
 
 
 def count_lost_directions(equilibria: LoadedEquilibria, states: States, at: Array) -> Array:
