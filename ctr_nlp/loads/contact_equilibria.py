@@ -25,7 +25,7 @@ from ctr_nlp.models.elastic.compiled import (
     MIN_PATH_STEP_FRACTION,
 )
 from ctr_nlp.models.loaded.equilibria import MAX_LOADED_NEWTON_TURN_RAD, LoadedEquilibria, States
-from ctr_nlp.models.loaded.stability import count_lost_directions, margins, smooth_margins
+from ctr_nlp.models.loaded.stability import known_smooth_margins, margins, smooth_margins
 from ctr_nlp.typing import Array, Flags, Index
 
 CONTACT_FORCE_TOLERANCE_N = 1e-4
@@ -154,10 +154,7 @@ class ContactEquilibria(ContactRods):
 
     def known_margins(self, states: ContactStates, at: Array) -> Array:
         """Return smooth margins (T,) as above, NaN where the robot is so far below them that they are wrong."""
-        founded = self._founded_states(states)
-        found = smooth_margins(self._foundation_rods, founded, at)
-        lost = count_lost_directions(self._foundation_rods, founded, at)
-        return np.where((lost == 0) | ((lost == 1) & (found < at)), found, np.nan)
+        return known_smooth_margins(self._foundation_rods, self._founded_states(states), at)
 
     @cached_property
     def _foundation_rods(self) -> LoadedEquilibria:

@@ -172,7 +172,7 @@ class ContactFrames:
         counts = np.flatnonzero(margins < self.margin + MARGIN_SLOPE_RANGE)
         if len(counts):
             margin_by[counts] = self._nearby.margin_slopes(
-                self._present.rows(counts), [slopes[j] for j in counts], self._tested_at[counts], margins[counts]
+                self._present.rows(counts), [slopes[j] for j in counts], self._tested_at[counts]
             )
         costs = self._costs(
             np.stack([each.points for each in slopes])[:, None],

@@ -221,10 +221,8 @@ class ContactNeighbours:
                 break
         return found
 
-    def margin_slopes(
-        self, states: ContactStates, slopes: Sequence[ContactSlopes], at: Array, margins: Array
-    ) -> Array:
-        """Return the derivatives (T, 2d + 2) of smooth stability margins (T,) by y; 0 where a margin counts as 1.
+    def margin_slopes(self, states: ContactStates, slopes: Sequence[ContactSlopes], at: Array) -> Array:
+        """Return the derivatives (T, 2d + 2) of smooth stability margins by y; 0 where a margin counts as 1.
 
         slopes: of the states. at (T,): margins at which they are tested.
         """
@@ -238,7 +236,7 @@ class ContactNeighbours:
         near = [slope.near for slope in slopes for _ in range(1 + n)]
         around = self.predict(states, slopes, probes)
         found = self.equilibria.smooth_margins(around, np.repeat(at, 1 + n), near).reshape(len(slopes), 1 + n)
-        return np.where((margins < 1)[:, None], (found[:, 1:] - found[:, :1]) / steps, 0.0)
+        return np.where(found[:, :1] < 1, (found[:, 1:] - found[:, :1]) / steps, 0.0)
 
     def margins_around(
         self, states: ContactStates, slopes: Sequence[ContactSlopes], corrections: Sequence[Array], at: Array

@@ -83,26 +83,40 @@ def smooth_margins(equilibria: LoadedEquilibria, states: States, at: Array) -> A
     the others are farther. It takes two integrations of the rod instead of some ten.
 
     equilibria: solver of the robots' structure and kind of load. at (T,): margins, below 1, at which robots are
-    tested. A number below them is right where one direction is lost there (count_lost_directions), by less than
-    the other eigenvalues are above; 1 stands for no eigenvalue nearby.
+    tested. Numbers below them may be wrong (known_smooth_margins); 1 stands for no eigenvalue nearby.
     """
-    tested = at, at - SMOOTH_MARGIN_WIDTH
-    here, below = (np.linalg.det(_responses_at(equilibria, states, mu)) for mu in tested)
-    nu, lower = (1 / (1 - mu) for mu in tested)
+    return _smooth_margins(at, *_tested_responses(equilibria, states, at))
+
+
+def known_smooth_margins(equilibria: LoadedEquilibria, states: States, at: Array) -> Array:
+    """Return smooth margins (T,), NaN where they are wrong.
+
+    Below the margins `at` (T,) they are right as long as a robot has lost one direction there, by less than the
+    other eigenvalues are above.
+    """
+    here, below = _tested_responses(equilibria, states, at)
+    found = _smooth_margins(at, here, below)
+    # A negative pivot for every direction that is lost.
+    lost = (pivots(here) < 0).sum(axis=(1, 2))
+    return np.where((lost == 0) | ((lost == 1) & (found < at)), found, np.nan)
+
+
+def _tested_responses(equilibria: LoadedEquilibria, states: States, at: Array) -> tuple[Array, Array]:
+    """Return the responses (T, k, d + 2, d + 2) of states at margins (T,), and SMOOTH_MARGIN_WIDTH below."""
+    here, below = (_responses_at(equilibria, states, mu) for mu in (at, at - SMOOTH_MARGIN_WIDTH))
+    return here, below
+
+
+def _smooth_margins(at: Array, here: Array, below: Array) -> Array:
+    """Return smooth margins (T,) from the responses at margins `at` (T,) and below (_tested_responses)."""
+    nu, lower = (1 / (1 - mu) for mu in (at, at - SMOOTH_MARGIN_WIDTH))
+    determinants = np.linalg.det(here)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        softest = nu + (nu - lower) / ((below / here).prod(axis=1) - 1)
+        softest = nu + (nu - lower) / ((np.linalg.det(below) / determinants).prod(axis=1) - 1)
         # What the load or the wall holds has eigenvalues nu_i below 0, and where these are nearer than the others
         # R is below 1. Where no tube acts on another R is 1, but for rounding.
-        is_far = (np.sign(here).prod(axis=1) > 0) & ~(softest > nu)
+        is_far = (np.sign(determinants).prod(axis=1) > 0) & ~(softest > nu)
         return np.where(is_far, 1.0, 1 - 1 / softest)
-
-
-def count_lost_directions(equilibria: LoadedEquilibria, states: States, at: Array) -> Array:
-    """Return the number of directions (T,) that states have lost at margins (T,): of eigenvalues below them.
-
-    equilibria: solver of the robots' structure and kind of load.
-    """
-    return np.asarray((_pivots_at(equilibria, states, at, False) < 0).sum(axis=(1, 2)))
 
 
 def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, known: Array) -> Array:
